@@ -161,7 +161,7 @@ def open_session(
     pair_by_order
         Pair videos without a camera by the natural order of the names; a warning lists the pairs.
     keeps_poses
-        Whether the calibration's poses count; else it may have intrinsics alone, and poses in any unit.
+        True if the calibration's poses count; else it may have intrinsics alone, and poses in any unit.
 
     Returns
     -------

@@ -90,7 +90,7 @@ class Served:
 
 
 def is_at_rest(job: Mapping[str, Any]) -> bool:
-    """Whether a job has ended, and its files are not being made again."""
+    """Return whether a job has ended, and its files are not being made again."""
     return job["state"] in {"succeeded", "failed", "canceled"} and job["files_state"] != "updating"
 
 

@@ -14,7 +14,7 @@ from pipeline.calibration.board.spec import parse_board
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.serving import Served
 
-# The service is that of the other tests of the page.
+# The tests of the page share a service.
 pytestmark = pytest.mark.xdist_group("page")
 
 MM_PER_INCH, POINTS_PER_INCH = 25.4, 72.0

@@ -18,7 +18,7 @@ from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 from tests.pipeline.media import write_video
 
-# The service is that of the other tests of the page.
+# The tests of the page share a service.
 pytestmark = pytest.mark.xdist_group("page")
 
 DROP = """([target, files]) => {

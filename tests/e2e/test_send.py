@@ -16,7 +16,7 @@ from tests.e2e.serving import Served
 from tests.e2e.test_serve_keypoints import archives
 from tests.pipeline.media import cut_at_keyframes, write_pictures
 
-# The service is that of the other tests of the page.
+# The tests of the page share a service.
 pytestmark = pytest.mark.xdist_group("page")
 
 PHONE: ViewportSize = {"width": 390, "height": 800}
@@ -51,7 +51,7 @@ def send(page: Page) -> Locator:
 
 
 def is_seen(part: Locator) -> bool:
-    """Whether a part is on the screen as the page stands."""
+    """Return whether a part is on the screen as the page stands."""
     box, viewport = part.bounding_box(), part.page.viewport_size
     assert box is not None
     assert viewport is not None

@@ -131,11 +131,11 @@ class Run:
         raise AssertionError(f"nothing happened while {self.kept} was kept back")
 
     def is_sent(self) -> bool:
-        """Whether the last request was made."""
+        """Return whether the last request was made."""
         return bool(self.bodies[self.last])
 
     def is_refused(self) -> bool:
-        """Whether the page says why it does not send."""
+        """Return whether the page says why it does not send."""
         return self._refusal().count() > 0
 
     def refusals(self) -> list[str]:
@@ -298,7 +298,7 @@ def test_second_press_sends_nothing_twice(served: Served, files: dict[str, Path]
 
 
 def is_first_of_many(kept: tuple[str, int]) -> bool:
-    """Whether a request is the first of its kind, of kinds that are many and alike."""
+    """Return whether a request is the first of its kind, of kinds that are many and alike."""
     return kept[1] == 1 or not kept[0].startswith(("PATCH", "POST /v1/uploads", "HEAD", "GET /v1/sample/"))
 
 

@@ -28,7 +28,7 @@ from tests.e2e.serving import Served
 from tests.pipeline.export.character.characters import vrm
 from tests.pipeline.simulations import write_simulation
 
-# The service is that of other tests.
+# Other tests share the service.
 pytestmark = pytest.mark.xdist_group("service")
 
 ROOT = Path(__file__).parents[2]

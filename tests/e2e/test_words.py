@@ -19,7 +19,7 @@ from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.captures import cameras_of_two_videos, two_videos
 from tests.e2e.serving import Served, serving
 
-# The service is that of the other tests of the page.
+# The tests of the page share a service.
 pytestmark = pytest.mark.xdist_group("page")
 
 

@@ -188,7 +188,7 @@ NEED_A_DISK = {fill_the_disk, fill_the_disk_and_empty_it_through_the_api}
 
 
 def is_possible(fault: Fault, service: SmallDiskService) -> bool:
-    """Whether this machine allows the fault."""
+    """Return whether this machine allows the fault."""
     return fault not in NEED_A_DISK or service.disk.is_mount()
 
 

@@ -54,7 +54,7 @@ OF_ALL_FILES = {"more_problems", "keypoints_mixed", "pairing_unknown"}
 
 
 def is_clear(problems: list[dict[str, Any]]) -> bool:
-    """Whether there are at most some dozens of problems, each with a sentence and its place."""
+    """Return whether there are at most some dozens of problems, each with a sentence and its place."""
     return 0 < len(problems) <= MAX_PROBLEMS and all(
         problem["message"].endswith(".")
         and len(json.dumps(problem)) < 10_000

@@ -68,7 +68,7 @@ class Reconstruction:
         Layout of keypoints without names, and how it was told, or ``None``; table of segments, sex and mass of people
         who have none in ``subjects``, by number.
     is_emptied, own
-        Whether edits removed everybody who was found; points of the user's own.
+        True if edits removed all people who were found; points of the user's own.
     laboratory
         Recording of a laboratory beside the cameras, with the time of its file if it is known; ``None``: nothing.
     accepted

@@ -74,7 +74,7 @@ class FileFormat(Value):
         Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``, or ``.module:name`` in
         ``pipeline.export.writers``; ``None`` for formats that stages of their own make.
     has_body, has_presets
-        Whether it holds a body that follows the skeleton; whether names, axes, unit and rest pose come from a preset.
+        True if it holds a body that follows the skeleton; true if names, axes, unit and rest pose come from a preset.
     ending
         Ending of the names of files, without the dot; ``None``: the format's name.
     package, file
@@ -82,7 +82,7 @@ class FileFormat(Value):
     size
         Size of the files.
     in_take
-        Whether a file of the whole take holds everybody once more.
+        True if a file of the whole take holds all people once more.
     note
         Sentence for users.
 

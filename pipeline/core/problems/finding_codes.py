@@ -189,7 +189,7 @@ NOBODY_FOUND = WARNINGS.code("nobody_found", "warning", "finding")
 """No person was found. | Check that the calibration belongs to the videos, and that two cameras see a person at the
 same time."""
 EVERYBODY_REMOVED = WARNINGS.code("everybody_removed", "warning")
-"""Edits removed everybody who was found. | Undo an edit: `PUT /v1/sessions/{id}/edits` with the list without it."""
+"""Edits removed all people who were found. | Undo an edit: `PUT /v1/sessions/{id}/edits` with the list without it."""
 EDIT_NOT_APPLIED = WARNINGS.code("edit_not_applied", "warning")
 """An edit of the capture does not apply to this run, and changes nothing in it. It stays in the list, and other runs
 apply it. | Look at the frame that the warning names. Undo the edit if no run needs it, or make it again on this run."""

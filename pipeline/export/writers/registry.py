@@ -128,9 +128,9 @@ class Writer:
     between_frames
         Place at which interpolated angles are farthest off; ``None`` for formats without angles.
     holds_name
-        Whether the file holds the person's name. Other files stay as they are when the person is renamed.
+        True if the file holds the person's name. Other files stay as they are when the person is renamed.
     has_origin
-        Whether numbers have single precision, and positions are relative to the origin of ``PersonContent``.
+        True if numbers have single precision, and positions are relative to the origin of ``PersonContent``.
     take
         Files of a whole take; ``None`` for formats that hold one person.
     frames
