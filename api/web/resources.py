@@ -6,19 +6,17 @@ from api.web.characters import routes as characters
 from api.web.contract.description import Resource
 from api.web.events import routes as events
 from api.web.health import routes as health
-from api.web.jobs import added_files
 from api.web.jobs import routes as jobs
 from api.web.live import routes as live
 from api.web.recordings import routes as recordings
 from api.web.recordings import sockets
 from api.web.sessions import routes as sessions
-from api.web.sessions import thumbnails, videos
-from api.web.uploads import fetched
+from api.web.sessions import videos
 from api.web.uploads import routes as uploads
 
 RESOURCES: tuple[Resource, ...] = (
     uploads.RESOURCE,
-    fetched.RESOURCE,
+    uploads.FETCHES,
     calibrations.CREATION,
     characters.CREATION,
     sessions.CREATION,
@@ -26,7 +24,6 @@ RESOURCES: tuple[Resource, ...] = (
     characters.RESOURCE,
     sessions.RESOURCE,
     videos.RESOURCE,
-    thumbnails.RESOURCE,
     jobs.CREATION,
     jobs.RESOURCE,
     events.RESOURCE,
@@ -37,7 +34,6 @@ RESOURCES: tuple[Resource, ...] = (
     results.RESOURCE,
     motion.RESOURCE,
     edits.RESOURCE,
-    added_files.RESOURCE,
     options.RESOURCE,
     uploads.DESCRIPTION,
     callers.RESOURCE,

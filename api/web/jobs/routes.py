@@ -1,6 +1,7 @@
-"""Jobs: reconstruct a session, follow it, cancel, retry, delete; and the webhook of a job's end."""
+"""Jobs: reconstruct a session, follow it, cancel, retry, add files, delete; and the webhook of a job's end."""
 
 import uuid
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, FastAPI, Query, Response, status
@@ -22,11 +23,11 @@ from api.web.sessions.storing import CheckedSession, session_and_job
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
-from worker.run.planning import has_videos, plan_again, plan_visuals
+from worker.run.planning import has_videos, plan_again, plan_remake, plan_visuals
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobKind, JobRecord
 from worker.store.model.states import RETRYABLE, JobState
-from worker.store.spec import JobSpec
+from worker.store.spec import FilesAdded, JobSpec
 from worker.store.tenant_records import TenantRecords
 
 _ENDED = "Receive a job's end"
@@ -259,6 +260,48 @@ def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: Idempoten
         with idempotent.records.transaction() as work:
             made = work.visuals.add(job_id, making, stages, job.revision, tracing.current())
             answer = idempotent.store(work, accepted(made))
+    services.queue.publish()
+    return answer.response()
+
+
+@small.post(
+    "/jobs/{job_id}/files",
+    summary="Add files to a job",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=JobOut,
+    responses={**ACCEPTED, **problems(400, 404, 409, 410, 413, 415, 422, 429, 507)},
+)
+def add_job_files(
+    job_id: JobId,
+    services: ServicesDep,
+    idempotent: IdempotentRequestDep,
+    added: FilesAdded = FilesAdded(),  # noqa: B008 - frozen
+) -> Response:
+    """Add files to a job that has succeeded, without reconstructing again.
+
+    All files follow the present edits of the capture, so an empty body brings those up to date. Report, overlay videos
+    and blurred videos are made by a job of their own after the other files, see `visuals_job`. The files that are there
+    can be read meanwhile.
+    """
+    if (earlier := idempotent.begin(added.model_dump(mode="json", exclude_unset=True))) is not None:
+        return earlier
+    with idempotent.working():
+        records = idempotent.records
+        job = records.jobs.get(job_id)
+        session = records.sessions.get(job.session_id)
+        spec = added.added_to(job.spec)
+        limits = queueing.spec_limits(services, records, has_videos=has_videos(session))
+        # The session was checked, and its errors were ignored or outweighed, when the job was queued.
+        if found := queueing.check_spec(spec.model_copy(update={"force": True}), session.preflight, limits):
+            raise unprocessable([error_item(problem) for problem in found])
+        services.disk.require_room()
+        with (
+            queueing.copied_character(services, records, added.character, job_id) as moved,
+            records.transaction() as work,
+        ):
+            plan = partial(plan_remake, session)
+            remade = work.jobs.remake(job_id, plan, added, moved=moved, trace=tracing.current())
+            answer = idempotent.store(work, accepted(remade))
     services.queue.publish()
     return answer.response()
 

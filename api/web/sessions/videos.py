@@ -1,4 +1,4 @@
-"""Videos of sessions, for players: as they were sent, if browsers play them, else their proxies."""
+"""Videos of sessions, for players: as they were sent, if browsers play them, else their proxies; and thumbnails."""
 
 from dataclasses import replace
 from typing import Annotated
@@ -10,17 +10,18 @@ from api.web.contract.description import Resource, file_content, problems
 from api.web.dependencies import ServicesDep, SessionId
 from api.web.downloads import ConditionsDep, Download, file_responses, send_file
 from api.web.errors import VIDEOS_DELETED_HINT, ApiError
-from pipeline.capture.preflight_record import PreflightCamera
+from pipeline.capture.preflight_record import PreflightCamera, thumbnail_name
 from pipeline.core.options.job_choices import blurred_name, proxy_name
 from pipeline.core.problems.request_codes import NOT_FINISHED, VIDEOS_DELETED
 from worker.run.planning import has_videos
 from worker.store.errors import NotFound
+from worker.store.files.file_keys import thumbnail_key
 from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import Result
 from worker.store.model.session_records import Session
 from worker.store.tenant_records import TenantRecords
 
-router = APIRouter(prefix="/v1/sessions/{session_id}/videos", tags=["sessions"])
+router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["sessions"])
 
 _VIDEO = file_content(["video/mp4", "video/webm"])
 Camera = Annotated[
@@ -29,7 +30,7 @@ Camera = Annotated[
 
 
 @router.get(
-    "/{camera}",
+    "/videos/{camera}",
     summary="Watch a session's video",
     response_class=Response,
     responses={**file_responses(_VIDEO), **problems(404, 409, 410, 416)},
@@ -66,7 +67,7 @@ def get_session_video(
 
 
 @router.delete(
-    "",
+    "/videos",
     summary="Delete a session's videos",
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(404, 409),
@@ -79,6 +80,53 @@ def delete_session_videos(session_id: SessionId, services: ServicesDep, records:
     """
     services.disk.using_reserve(lambda: records.sessions.delete_videos(session_id))
     services.disk.using_reserve(lambda: remove_files(services.store.removals, services.artifacts))
+
+
+_JPEG = file_content(["image/jpeg"])
+Number = Annotated[int, Path(ge=0, le=255, description="Place of the picture in `thumbnails` of the camera.")]
+
+
+@router.get(
+    "/thumbnails/{camera}/{number}",
+    summary="Look at a picture of a session's video",
+    response_class=Response,
+    responses={**file_responses(_JPEG), **problems(404, 410, 416, 422)},
+)
+def get_session_thumbnail(
+    session_id: SessionId,
+    camera: Camera,
+    number: Number,
+    request: Request,
+    services: ServicesDep,
+    records: VideoViewDep,
+    conditions: ConditionsDep,
+) -> Response:
+    """Look at a small copy of a picture of a camera, at most 320 pixels wide and high, at which the check looked.
+
+    Of a session with a job that has `blur_faces`, there are none.
+    """
+    capture = records.sessions.capture(session_id)
+    if capture.is_blurred:
+        raise NotFound("A job of this capture blurs faces, and the pictures of its check are not blurred.")
+    if capture.session.videos_deleted_at is not None:
+        raise deleted()
+    cameras = capture.session.preflight.cameras
+    place = next((place for place, known in enumerate(cameras) if known.name == camera), None)
+    if place is None:
+        raise NotFound("The session has no camera of this name.")
+    if number >= len(cameras[place].thumbnails):
+        raise NotFound("The camera has no such picture.")
+    thumbnail, name = cameras[place].thumbnails[number], thumbnail_name(place, number)
+    file = Download(
+        name=f"{camera}-{number}.jpg",
+        media_type="image/jpeg",
+        key=thumbnail_key(session_id, name),
+        num_bytes=thumbnail.num_bytes,
+        sha256=thumbnail.sha256,
+        disposition="inline",
+        remedy="Send the capture again.",
+    )
+    return send_file(request, services, file, conditions)
 
 
 def deleted() -> ApiError:

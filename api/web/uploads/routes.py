@@ -14,13 +14,14 @@ from fastapi import APIRouter, Depends, Header, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import UploadsDep
-from api.web.contract.description import Resource, Responses, file_content, location, problems
+from api.web.contract.description import RETRY_AFTER, Resource, Responses, file_content, location, problems
 from api.web.dependencies import Services, ServicesDep, UploadId
-from api.web.errors import ApiError
+from api.web.errors import ApiError, ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.form import name_error, too_large
-from api.web.http.bodies.reading import announced_bytes, drain
-from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentUploadDep
-from api.web.uploads.intake import begun_upload
+from api.web.http.bodies.reading import SmallBodyRoute, announced_bytes, drain
+from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep, IdempotentUploadDep
+from api.web.uploads.intake import FETCH_RETRY_S, begun_upload, source_fault, source_name
+from api.web.uploads.schemas import UploadSource, UploadState
 from api.web.uploads.spool import Checksum
 from pipeline.core.problems import request_codes
 from worker.store.model.session_records import Upload
@@ -71,6 +72,8 @@ def _require_version(
 
 
 router = APIRouter(prefix="/v1/uploads", tags=["uploads"])
+# Files that the service fetches from URLs, and the state of any upload.
+small = APIRouter(prefix="/v1/uploads", tags=["uploads"], route_class=SmallBodyRoute)
 # Routes that need no key: a client's first request.
 described = APIRouter(prefix="/v1/uploads", tags=["uploads"])
 
@@ -299,5 +302,39 @@ def _checksum(header: str | None) -> Checksum | None:
         raise ApiError(request_codes.CHECKSUM_INVALID, message) from None
 
 
+@small.post(
+    "/from-url",
+    summary="Fetch an upload",
+    status_code=status.HTTP_202_ACCEPTED,
+    response_model=UploadState,
+    responses={
+        202: {"headers": {"Location": location("upload"), **RETRY_AFTER}},
+        **problems(400, 409, 413, 415, 422, 507),
+    },
+)
+def create_upload_from_url(source: UploadSource, services: ServicesDep, idempotent: IdempotentRequestDep) -> Response:
+    """Have the service fetch a file. Read the upload until its state is `finished` or `failed`; delete it to cancel."""
+    if (earlier := idempotent.begin(source.model_dump(mode="json"))) is not None:
+        return earlier
+    with idempotent.working():
+        if (fault := source_fault(services, source.url, source.filename)) is not None:
+            code, message, hint = fault
+            raise unprocessable([ErrorItem(code=code, message=message, pointer=pointer_to("url"), hint=hint)])
+        name = source.filename or source_name(source.url)
+        with begun_upload(services, idempotent.records, name, source_url=source.url) as (work, upload):
+            headers = {"Location": f"/v1/uploads/{upload.id}", "Retry-After": str(FETCH_RETRY_S)}
+            body = UploadState.from_upload(upload, 0).model_dump_json()
+            answer = idempotent.store(work, Answer(202, headers, body))
+    return answer.response()
+
+
+@small.get("/{upload_id}", summary="Read an upload", responses=problems(400, 404, 421, 422))
+def get_upload_state(upload_id: UploadId, services: ServicesDep, records: UploadsDep) -> UploadState:
+    """Read the state of an upload: how many of its bytes are there, and the error of a fetch that failed."""
+    upload = records.uploads.get(upload_id)
+    return UploadState.from_upload(upload, services.uploads.offset(upload))
+
+
 RESOURCE = Resource(router=router)
 DESCRIPTION = Resource(router=described, is_open=True)
+FETCHES = Resource(router=small)
