@@ -125,5 +125,5 @@ def _meaning(field: FieldInfo) -> str:
     return re.sub(
         r"\b[a-z]+(?:_[a-z]+)+\b",
         lambda word: f"`{variable(word[0])}`" if word[0] in names else word[0],
-        str(field.description),
+        " ".join(str(field.description).split()),
     )

@@ -3,11 +3,11 @@
 from typing import Self
 
 from fastapi import APIRouter, Request, Response, status
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, Field
 
 from api.web.auth import AnyCallerDep, wrong_key
 from api.web.contract.description import Resource, problems
-from api.web.contract.schemas import ResponseModel
+from api.web.contract.schemas import RequestModel, ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.browser_cookie import cookie_name, delete_cookie, set_cookie
@@ -27,10 +27,8 @@ class QuotasOut(ResponseModel):
 
     sessions: QuotaOut = Field(description="Number of sessions.")
     unfinished_jobs: QuotaOut = Field(description="Number of jobs that wait or run.")
-    stored_bytes: QuotaOut = Field(
-        description="Size of all sessions with everything made from them; uploads count with their announced size.",
-        examples=[{"used": 52_428_800_000, "limit": 1_000_000_000_000}],
-    )
+    stored_bytes: QuotaOut = Field(examples=[{"used": 52_428_800_000, "limit": 1_000_000_000_000}])
+    """Size of all sessions with everything made from them; uploads count with their announced size."""
     uploads: QuotaOut = Field(description="Number of uploads that no session uses yet.")
 
     @classmethod
@@ -45,19 +43,15 @@ class CallerOut(ResponseModel):
     """Caller of a request: its tenant, key and quotas."""
 
     tenant: str = Field(description="Tenant whose sessions and jobs the caller sees.", examples=["studio-a"])
-    name: str | None = Field(
-        description="Name of the key; null for a service without keys, in which every caller has all scopes.",
-        examples=["portal"],
-    )
+    name: str | None = Field(examples=["portal"])
+    """Name of the key; null for a service without keys, in which every caller has all scopes."""
     scopes: tuple[Scope, ...] = Field(description="Scopes of the key.", examples=[["read", "write"]])
     expires_at: AwareDatetime | None = Field(description="Time at which the key expires; null if it does not.")
     quotas: QuotasOut = Field(description="Usage and quotas of the tenant.")
 
 
-class BrowserSession(BaseModel):
+class BrowserSession(RequestModel):
     """Key with which a browser signs in."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     key: str = Field(max_length=200, description="API key, `mc_...`.", examples=["mc_..."])
 

@@ -5,13 +5,13 @@ from typing import Annotated, Self
 from uuid import UUID
 
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticKnownError
 
 from api.web.auth import RecordsDep
 from api.web.contract.description import Resource, problems
 from api.web.contract.examples import ID
-from api.web.contract.schemas import Id, ResponseModel
+from api.web.contract.schemas import DescribedModel, Id, ResponseModel
 from api.web.dependencies import ServicesDep, SessionId
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
@@ -39,7 +39,7 @@ def _not_too_long(edits: object) -> object:
     return edits
 
 
-class NewEdits(BaseModel):
+class NewEdits(DescribedModel):
     """Edits of a session's people: all of them, in their order. To undo an edit, send the list without it.
 
     An edit names a person by a place in the world at a frame of the session. With `job_id` it may have a number
@@ -52,12 +52,9 @@ class NewEdits(BaseModel):
         description="Each edit is applied to the people that the earlier edits leave. An empty list undoes all.",
         examples=[[{"action": "merge", "person": 1, "other": 3}, {"action": "rename", "person": 1, "name": "Anna"}]],
     )
-    job_id: UUID | None = Field(
-        default=None,
-        description="Job of the session whose files are made again with these edits, without detecting joints again. "
-        "Numbers of people are this run's. The files of other jobs follow by `POST /v1/jobs/{id}/files`.",
-        examples=[ID],
-    )
+    job_id: UUID | None = Field(default=None, examples=[ID])
+    """Job of the session whose files are made again with these edits, without detecting joints again. Numbers of people
+    are this run's. The files of other jobs follow by `POST /v1/jobs/{id}/files`."""
 
 
 class FoundPersonOut(ResponseModel):

@@ -10,13 +10,14 @@ from typing import Any
 
 import structlog
 from fastapi import FastAPI
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from api.web.contract.examples import ID
+from api.web.contract.schemas import DescribedModel
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code, read_sentences, usual_status
@@ -102,7 +103,7 @@ MEANINGS: Mapping[str, str] = {code: _SENTENCES[code][0] for code in FIELDS.plac
 """Meanings of the codes in ``errors[]`` that concern a field. The codes are part of the API and never change."""
 
 
-class ErrorItem(BaseModel):
+class ErrorItem(DescribedModel):
     """Single problem of a request."""
 
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
@@ -112,18 +113,15 @@ class ErrorItem(BaseModel):
         "parameters: " + " ".join(f"`{code}`: {meaning}" for code, meaning in MEANINGS.items()),
         examples=["video_truncated"],
     )
-    message: str = Field(
-        description="One sentence for a person.", examples=["The video ends in the middle of a frame."]
-    )
-    pointer: str | None = Field(
-        default=None, description="JSON pointer to the field, parameter or part of the form.", examples=["/videos/1"]
-    )
+    message: str = Field(examples=["The video ends in the middle of a frame."])
+    """One sentence for a person."""
+    pointer: str | None = Field(default=None, examples=["/videos/1"])
+    """JSON pointer to the field, parameter or part of the form."""
     file: str | None = Field(default=None, description="Name of the file.", examples=["cam_1.mp4"])
     camera: str | None = Field(default=None, description="Name of the camera.", examples=["cam_1"])
     field: str | None = Field(default=None, description="Field of the file, such as `matrix`.")
-    hint: str | None = Field(
-        default=None, description="Advice to the caller.", examples=["Copy it from the camera again."]
-    )
+    hint: str | None = Field(default=None, examples=["Copy it from the camera again."])
+    """Advice to the caller."""
 
 
 class MoreProblems(ErrorItem):
@@ -132,7 +130,7 @@ class MoreProblems(ErrorItem):
     num_problems: int = Field(exclude=True, description="Number of the problems.")
 
 
-class ProblemDetails(BaseModel):
+class ProblemDetails(DescribedModel):
     """Body of an error response (RFC 9457)."""
 
     model_config = ConfigDict(json_schema_serialization_defaults_required=True)

@@ -4,12 +4,12 @@ from typing import Annotated
 from urllib.parse import quote
 
 from fastapi import APIRouter, Path, status
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, Field
 
 from api.web.auth import ALL_RESULTS, LINK, RecordsDep
 from api.web.contract.description import Resource, problems
 from api.web.contract.examples import ID
-from api.web.contract.schemas import Id, ResponseModel
+from api.web.contract.schemas import Id, RequestModel, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep, canonical_id
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
@@ -31,26 +31,14 @@ Opened = Annotated[
 ]
 
 
-class LinkSpec(BaseModel):
+class LinkSpec(RequestModel):
     """Link to be made. Unknown fields are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     scope: Opened
-    name: str | None = Field(
-        default=None,
-        max_length=255,
-        description="Name of the result file, or `results.zip` for all; name of the camera of a video.",
-        examples=["person-1.bvh"],
-    )
-    expires_in_s: float | None = Field(
-        default=None,
-        gt=0,
-        allow_inf_nan=False,
-        description="Seconds until the link ends; by default 900, and 604,800 of the scope `job`, or the service's "
-        "limit.",
-        examples=[900.0],
-    )
+    name: str | None = Field(default=None, max_length=255, examples=["person-1.bvh"])
+    """Name of the result file, or `results.zip` for all; name of the camera of a video."""
+    expires_in_s: float | None = Field(default=None, gt=0, allow_inf_nan=False, examples=[900.0])
+    """Seconds until the link ends; by default 900, and 604,800 of the scope `job`, or the service's limit."""
 
     def lifetime_s(self, longest_s: float) -> float:
         """Seconds until the link ends; by default at most ``longest_s``."""
@@ -63,9 +51,8 @@ class LinkOut(ResponseModel):
     id: Id
     job_id: Id
     scope: Opened
-    name: str | None = Field(
-        description="Name of the file or of the camera; null for scopes without one.", examples=["person-1.bvh"]
-    )
+    name: str | None = Field(examples=["person-1.bvh"])
+    """Name of the file or of the camera; null for scopes without one."""
     created_at: AwareDatetime = Field(description="Time of the creation.")
     expires_at: AwareDatetime = Field(description="Time at which the link ends.", examples=["2026-03-01T09:45:00Z"])
 
@@ -73,11 +60,9 @@ class LinkOut(ResponseModel):
 class NewLinkOut(LinkOut):
     """Link that was made, with its address."""
 
-    url: str = Field(
-        description="Path with the secret in the parameter `link`. Of the scope `job` it is the page; the addresses of "
-        "the job, its session, its results and its motion take the same parameter.",
-        examples=[f"/v1/jobs/{ID}/results/person-1.bvh?link=mcl_..."],
-    )
+    url: str = Field(examples=[f"/v1/jobs/{ID}/results/person-1.bvh?link=mcl_..."])
+    """Path with the secret in the parameter `link`. Of the scope `job` it is the page; the addresses of the job, its
+    session, its results and its motion take the same parameter."""
 
 
 class LinkList(ResponseModel):

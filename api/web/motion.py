@@ -29,29 +29,22 @@ from worker.store.tenant_records import TenantRecords
 class MotionSkeleton(ResponseModel):
     """Joints of the animation skeleton."""
 
-    names: tuple[str, ...] = Field(
-        description="Names of the joints, in the order of the records' positions.", examples=[["Hips", "Spine"]]
-    )
-    parents: tuple[int | None, ...] = Field(
-        description="Number of each joint's parent; null of the root.", examples=[[None, 0]]
-    )
+    names: tuple[str, ...] = Field(examples=[["Hips", "Spine"]])
+    """Names of the joints, in the order of the records' positions."""
+    parents: tuple[int | None, ...] = Field(examples=[[None, 0]])
+    """Number of each joint's parent; null of the root."""
 
 
 class MotionRecord(ResponseModel):
     """Structure of the record of a frame."""
 
     num_bytes: int = Field(description="Size of a record.", examples=[48])
-    offsets: dict[str, int] = Field(
-        description="First byte of each field; `/help/file-contents` describes the fields.",
-        examples=[{"origin_m": 0, "joints": 12, "skeleton": 24}],
-    )
-    absent: int = Field(
-        description="Coordinate of a joint without a position, and number of an angle that is unknown.",
-        examples=[-32_768],
-    )
-    angle_step_deg: float | None = Field(
-        default=None, description="Step of quantised joint angles; null of results that have none."
-    )
+    offsets: dict[str, int] = Field(examples=[{"origin_m": 0, "joints": 12, "skeleton": 24}])
+    """First byte of each field; `/help/file-contents` describes the fields."""
+    absent: int = Field(examples=[-32_768])
+    """Coordinate of a joint without a position, and number of an angle that is unknown."""
+    angle_step_deg: float | None = None
+    """Step of quantised joint angles; null of results that have none."""
     error_step_px: float = Field(description="Step of quantised reprojection errors.", examples=[0.5])
     unknown_error: int = Field(description="Value of an error that is not known.", examples=[255])
 
@@ -85,29 +78,21 @@ class MotionPerson(ResponseModel):
     stature_m: float | None = Field(description="Estimated stature.", examples=[1.78])
     reprojection_error_px: float | None = Field(description="Median reprojection error.", examples=[3.1])
     identity: MotionIdentity
-    contacts: tuple[tuple[int, int, int, int], ...] = Field(
-        description="Contacts of the feet: side (0 left, 1 right), part (0 foot, 1 heel, 2 toe), first frame, frames.",
-        examples=[[[0, 0, 1, 2]]],
-    )
-    gait: dict[str, Any] | None = Field(
-        default=None,
-        description="Figures of the person's gait, as `people[].gait` of `metrics.json`; null without gait.",
-    )
-    movements: tuple[dict[str, Any], ...] = Field(
-        default=(),
-        description="Jumps, squats, sitting down and standing up, as `people[].movements` of `metrics.json`.",
-    )
-    mass_weights: tuple[float, ...] | None = Field(
-        default=None, description="Weights of the joints in the centre of mass; null if joints of the body are missing."
-    )
+    contacts: tuple[tuple[int, int, int, int], ...] = Field(examples=[[[0, 0, 1, 2]]])
+    """Contacts of the feet: side (0 left, 1 right), part (0 foot, 1 heel, 2 toe), first frame, frames."""
+    gait: dict[str, Any] | None = None
+    """Figures of the person's gait, as `people[].gait` of `metrics.json`; null without gait."""
+    movements: tuple[dict[str, Any], ...] = ()
+    """Jumps, squats, sitting down and standing up, as `people[].movements` of `metrics.json`."""
+    mass_weights: tuple[float, ...] | None = None
+    """Weights of the joints in the centre of mass; null if joints of the body are missing."""
 
 
 class MotionPose(ResponseModel):
     """Extrinsics of a camera: `x_in_cam = rotation x_in_world + translation_m`."""
 
-    rotation: tuple[tuple[float, ...], ...] = Field(
-        description="Rows of the rotation matrix.", examples=[[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]]
-    )
+    rotation: tuple[tuple[float, ...], ...] = Field(examples=[[[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]])
+    """Rows of the rotation matrix."""
     translation_m: tuple[float, float, float] = Field(description="Translation in metres.", examples=[[0.0, 1.2, 4.0]])
 
 
@@ -120,19 +105,15 @@ class MotionCamera(ResponseModel):
         description="Rows of the camera matrix.",
         examples=[[[1500.0, 0.0, 959.5], [0.0, 1500.0, 539.5], [0.0, 0.0, 1.0]]],
     )
-    distortion: tuple[float, ...] = Field(
-        description="OpenCV's distortion coefficients.", examples=[[-0.1, 0.02, 0.0, 0.0]]
-    )
+    distortion: tuple[float, ...] = Field(examples=[[-0.1, 0.02, 0.0, 0.0]])
+    """OpenCV's distortion coefficients."""
     lens: str = Field(description="Model of the distortion: `standard` or `fisheye`.", examples=["standard"])
     cam_from_world: MotionPose
-    video: str | None = Field(
-        description="Name of the video file; null for a session of keypoints.", examples=["cam_0.mp4"]
-    )
-    clock: tuple[tuple[float, ...], ...] = Field(
-        description="Rows of frame number, time on the session's clock and time in the video, between which the times "
-        "of all frames are interpolated.",
-        examples=[[[0, 0.0, 0.0], [2, 0.08, 0.08]]],
-    )
+    video: str | None = Field(examples=["cam_0.mp4"])
+    """Name of the video file; null for a session of keypoints."""
+    clock: tuple[tuple[float, ...], ...] = Field(examples=[[[0, 0.0, 0.0], [2, 0.08, 0.08]]])
+    """Rows of frame number, time on the session's clock and time in the video, between which the times of all frames
+    are interpolated."""
 
 
 class MotionClock(ResponseModel):
@@ -143,9 +124,8 @@ class MotionClock(ResponseModel):
     sigma_s: float | None = Field(description="Largest standard deviation of the session times; null if unknown.")
     rate: float = Field(description="Rate of the clock; 1 for the first camera.")
     offsets_s: tuple[float, ...] = Field(description="Offsets that were compared, near the one that was found.")
-    disagreement: tuple[float, ...] = Field(
-        description="Share of the moving joints that disagree with the other cameras at each of these offsets."
-    )
+    disagreement: tuple[float, ...]
+    """Share of the moving joints that disagree with the other cameras at each of these offsets."""
 
 
 class MotionFloor(ResponseModel):
@@ -164,9 +144,8 @@ class MotionPoint(ResponseModel):
     start_frame: int = Field(description="Output frame of the first position.")
     origin_m: tuple[float, float, float] = Field(description="World position that positions are relative to.")
     position_step_m: float = Field(description="Unit of the positions in metres.")
-    positions: str = Field(
-        description="Base64 of three int16 for each frame, little-endian; -32768: unknown.", examples=["AAAAAAAA"]
-    )
+    positions: str = Field(examples=["AAAAAAAA"])
+    """Base64 of three int16 for each frame, little-endian; -32768: unknown."""
 
 
 class MotionStrips(ResponseModel):
@@ -174,9 +153,8 @@ class MotionStrips(ResponseModel):
 
     frames_per_bucket: int = Field(description="Number of output frames of a bucket.")
     columns: tuple[str, ...] = Field(description="Names of the columns.", examples=[["measured", "interpolated"]])
-    people: tuple[str, ...] = Field(
-        description="Base64 of a byte for each column and bucket, column after column.", examples=[["////AAAA"]]
-    )
+    people: tuple[str, ...] = Field(examples=[["////AAAA"]])
+    """Base64 of a byte for each column and bucket, column after column."""
 
 
 class MotionDescription(ResponseModel):
@@ -187,26 +165,21 @@ class MotionDescription(ResponseModel):
     frame_rate_hz: float = Field(description="Rate of the output frames.", examples=[25.0])
     start_time_s: float = Field(description="Time of output frame 0 on the session's clock.", examples=[0.0])
     num_frames: int = Field(description="Number of output frames.", examples=[300])
-    first_source_frame: int = Field(
-        default=0, description="Number of output frame 0 in the source: in files of keypoints, or in the videos."
-    )
-    joint_names: tuple[str, ...] = Field(
-        description="Names of the joints, in the order of the records' positions.", examples=[["nose", "left_eye"]]
-    )
-    bones: tuple[tuple[str, str], ...] = Field(
-        description="Pairs of joints, for drawing.", examples=[[["nose", "left_eye"]]]
-    )
+    first_source_frame: int = 0
+    """Number of output frame 0 in the source: in files of keypoints, or in the videos."""
+    joint_names: tuple[str, ...] = Field(examples=[["nose", "left_eye"]])
+    """Names of the joints, in the order of the records' positions."""
+    bones: tuple[tuple[str, str], ...] = Field(examples=[[["nose", "left_eye"]]])
+    """Pairs of joints, for drawing."""
     skeleton: MotionSkeleton
-    angle_names: tuple[str, ...] = Field(
-        default=(), description="Names of the joint angles of the records, in their order; see `/help/biomechanics`."
-    )
+    angle_names: tuple[str, ...] = ()
+    """Names of the joint angles of the records, in their order; see `/help/biomechanics`."""
     record: MotionRecord
     people: tuple[MotionPerson, ...] = Field(description="People, in the order of their records.")
     points: tuple[MotionPoint, ...] = Field(default=(), description="Points of the user's own; see `/help/formats`.")
     cameras: tuple[MotionCamera, ...] = Field(description="Cameras of the session.")
-    clocks: tuple[MotionClock, ...] | None = Field(
-        default=None, description="Measured clocks of all cameras; null if the declared times were taken."
-    )
+    clocks: tuple[MotionClock, ...] | None = None
+    """Measured clocks of all cameras; null if the declared times were taken."""
     is_refined: bool = Field(description="Whether the cameras were refined.")
     floor: MotionFloor | None = Field(description="Floor; null if no foot was ever seen.")
     reprojection_error_px: dict[str, float | dict[str, float | None] | None] = Field(
@@ -259,11 +232,10 @@ _MAX_RANGES = 20  # of an answer
 class FirstPeopleOut(ResponseModel):
     """People who were located before they are tracked, while a job runs."""
 
-    ranges: tuple[dict[str, Any], ...] = Field(
-        description="Ranges of frames in order: `instants`, each with `time_s` and `people`; `joints`, `bones` and "
-        "`parents` of the skeleton; and `rig`, the cameras. A person has an `id` within the range, and `joints_m`: the "
-        "places of the joints, null where one is unknown."
-    )
+    ranges: tuple[dict[str, Any], ...]
+    """Ranges of frames in order: `instants`, each with `time_s` and `people`; `joints`, `bones` and `parents` of the
+    skeleton; and `rig`, the cameras. A person has an `id` within the range, and `joints_m`: the places of the joints,
+    null where one is unknown."""
     next: int = Field(description="Number of the next range, to ask for later.", examples=[3])
 
 

@@ -32,13 +32,10 @@ class DetectorOut(ResponseModel):
     """Detector network that can be used alone, and whether it is installed."""
 
     name: str = Field(description="Value of `detector` in the spec of a job.", examples=["movenet-multipose"])
-    installed: bool | None = Field(
-        description="Whether all ready workers have the detector; null while no worker is ready.", examples=[True]
-    )
-    install: str = Field(
-        description="Advice to the operator on the installation.",
-        examples=["Run: multicap models install movenet-multipose"],
-    )
+    installed: bool | None = Field(examples=[True])
+    """Whether all ready workers have the detector; null while no worker is ready."""
+    install: str = Field(examples=["Run: multicap models install movenet-multipose"])
+    """Advice to the operator on the installation."""
 
 
 class ProfileNetworksOut(ResponseModel):
@@ -46,18 +43,13 @@ class ProfileNetworksOut(ResponseModel):
 
     joints: config.JointsOfBody = Field(description="Value of `joints` in the spec of a job.")
     networks: tuple[str, ...] = Field(description="Names of the networks.", examples=[["movenet-multipose"]])
-    camera_frame_s: float | None = Field(
-        description="Seconds that a job took for a frame of a camera when it was measured, on one core; null if it was "
-        "not measured. Other machines are faster or slower.",
-        examples=[0.023],
-    )
-    installed: bool | None = Field(
-        description="Whether all ready workers have the networks; null while no worker is ready.", examples=[True]
-    )
-    install: str = Field(
-        description="Advice to the operator on the installation.",
-        examples=["Run: multicap models install movenet-multipose"],
-    )
+    camera_frame_s: float | None = Field(examples=[0.023])
+    """Seconds that a job took for a frame of a camera when it was measured, on one core; null if it was not measured.
+    Other machines are faster or slower."""
+    installed: bool | None = Field(examples=[True])
+    """Whether all ready workers have the networks; null while no worker is ready."""
+    install: str = Field(examples=["Run: multicap models install movenet-multipose"])
+    """Advice to the operator on the installation."""
 
 
 class ProfileOut(ResponseModel):
@@ -81,21 +73,15 @@ class ChoiceOut(ResponseModel):
 
     name: str = Field(description="Name of the field in the spec of a job.", examples=["method"])
     label: str = Field(description="Heading of the field in a form.", examples=["Method"])
-    description: str = Field(
-        description="Meaning of the choice, a sentence for people.",
-        examples=["Method that matches detections to people."],
-    )
-    group: Group = Field(
-        description="Part of a form: `purpose` of the files, `people`, `quality`, or `advanced` for all else.",
-        examples=["advanced"],
-    )
-    kind: Kind = Field(
-        description="`one` of the values, a list of `several` of them, a `flag`: true or false, a `number`, a "
-        "`whole_number`, or a `frame_range`: a list of two whole numbers."
-    )
-    values: tuple[ValueOut, ...] = Field(
-        description="Named values; for numbers, the names allowed in place of a number."
-    )
+    description: str = Field(examples=["Method that matches detections to people."])
+    """Meaning of the choice, a sentence for people."""
+    group: Group = Field(examples=["advanced"])
+    """Part of a form: `purpose` of the files, `people`, `quality`, or `advanced` for all else."""
+    kind: Kind
+    """`one` of the values, a list of `several` of them, a `flag`: true or false, a `number`, a `whole_number`, or a
+    `frame_range`: a list of two whole numbers."""
+    values: tuple[ValueOut, ...]
+    """Named values; for numbers, the names allowed in place of a number."""
     default: bool | str | float | tuple[str, ...] | None = Field(description="Default value.", examples=["tracking"])
     unset: str | None = Field(description="Meaning of null, if null is the default.")
     minimum: float | None = Field(description="Smallest number.")
@@ -130,14 +116,10 @@ class PurposeOut(ResponseModel):
 
     name: str = Field(description="Name of the purpose.", examples=["blender"])
     label: str = Field(description="Label of the purpose for people.", examples=["Blender"])
-    note: str = Field(
-        description="Sentence that tells which files it gives.",
-        examples=["BVH and FBX in names that Blender's symmetry tools know."],
-    )
-    spec: dict[str, str | tuple[str, ...]] = Field(
-        description="Fields of the spec of a job, with their values.",
-        examples=[{"exports": ["bvh", "fbx"], "preset": "blender"}],
-    )
+    note: str = Field(examples=["BVH and FBX in names that Blender's symmetry tools know."])
+    """Sentence that tells which files it gives."""
+    spec: dict[str, str | tuple[str, ...]] = Field(examples=[{"exports": ["bvh", "fbx"], "preset": "blender"}])
+    """Fields of the spec of a job, with their values."""
 
 
 class Options(ResponseModel):
@@ -146,12 +128,10 @@ class Options(ResponseModel):
     profiles: tuple[ProfileOut, ...] = Field(description="All profiles, with their networks.")
 
     detectors: tuple[DetectorOut, ...] = Field(description="All detectors that the service supports.")
-    choices: tuple[ChoiceOut, ...] = Field(
-        description="All choices of a job, for a form. `callback_url` and `character` are not listed."
-    )
-    purposes: tuple[PurposeOut, ...] = Field(
-        description="Purposes of a take, for a form; each sets the same choices, the first one to their defaults."
-    )
+    choices: tuple[ChoiceOut, ...]
+    """All choices of a job, for a form. `callback_url` and `character` are not listed."""
+    purposes: tuple[PurposeOut, ...]
+    """Purposes of a take, for a form; each sets the same choices, the first one to their defaults."""
 
 
 class SampleFileOut(ResponseModel):
@@ -167,13 +147,10 @@ class SampleOut(ResponseModel):
     """Sample capture: a real take to try the service with."""
 
     installed: bool = Field(description="Whether the machine of the web API has the sample capture.", examples=[True])
-    install: str = Field(
-        description="Advice to the operator on the installation.", examples=["Run: multicap samples install"]
-    )
-    attribution: str = Field(
-        description="Source and licence, to show with the capture.",
-        examples=["Sample capture: demo of several people of Pose2Sim."],
-    )
+    install: str = Field(examples=["Run: multicap samples install"])
+    """Advice to the operator on the installation."""
+    attribution: str = Field(examples=["Sample capture: demo of several people of Pose2Sim."])
+    """Source and licence, to show with the capture."""
     files: tuple[SampleFileOut, ...] = Field(description="Videos and calibration; none if it is not installed.")
 
 

@@ -25,27 +25,19 @@ class ResultOut(ResponseModel):
 
     name: str = Field(description="Name of the file.", examples=["person-1.bvh"])
     kind: str = Field(description="Kind of the file, such as `bvh`, `skeletons`, `metrics`.", examples=["bvh"])
-    person: int | None = Field(
-        description="Id of the person in the file; null if it concerns all people.", examples=[1]
-    )
-    person_name: str | None = Field(
-        description="Name of the person, such as `Anna`, or `person-1` if no edit gave one; null if it concerns all "
-        "people.",
-        examples=["Anna"],
-    )
-    format: str | None = Field(
-        description="Format of a person's or of all people's motion, a value of `exports`.", examples=["bvh"]
-    )
+    person: int | None = Field(examples=[1])
+    """Id of the person in the file; null if it concerns all people."""
+    person_name: str | None = Field(examples=["Anna"])
+    """Name of the person, such as `Anna`, or `person-1` if no edit gave one; null if it concerns all people."""
+    format: str | None = Field(examples=["bvh"])
+    """Format of a person's or of all people's motion, a value of `exports`."""
     preset: str | None = Field(description="Preset of a BVH or FBX file; null of other files.", examples=["default"])
-    download_name: str = Field(
-        description="Name under which clients save the file; it tells takes, and revisions of the edits, apart.",
-        examples=["handshake-take-3_person-1-anna.bvh"],
-    )
+    download_name: str = Field(examples=["handshake-take-3_person-1-anna.bvh"])
+    """Name under which clients save the file; it tells takes, and revisions of the edits, apart."""
     media_type: str = Field(description="Content type of the file.", examples=["text/plain; charset=utf-8"])
     num_bytes: int = Field(description="Size of the file.", examples=[204_800])
-    sha256: str = Field(
-        description="SHA-256 of the file in hexadecimal; it is the file's strong ETag, too.", examples=[SHA256]
-    )
+    sha256: str = Field(examples=[SHA256])
+    """SHA-256 of the file in hexadecimal; it is the file's strong ETag, too."""
     revision: int = Field(description="Revision of the edits that the file shows.")
     url: str = Field(description="Path of the file.", examples=[f"/v1/jobs/{ID}/results/person-1.bvh"])
 

@@ -141,39 +141,23 @@ def require_usable_database(store: JobStore) -> None:
 class SharedSettings(BaseSettings):
     """Settings of the web API and the workers: storage, broker, logs, webhooks."""
 
-    model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True)
+    model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True, use_attribute_docstrings=True)
 
-    data_dir: Path = Field(
-        default_factory=default_data_dir,
-        description="Data folder: database, stored files, unfinished uploads, logs. Default: `service` in the user's "
-        "data folder.",
-    )
-    database_url: str = Field(
-        default="",
-        description="SQLAlchemy URL of the database, such as postgresql://user:password@host/name; without it SQLite "
-        "in data_dir.",
-    )
-    artifacts_url: str = Field(
-        default="",
-        pattern=ARTIFACTS_URL,
-        examples=["s3://bucket/prefix"],
-        description="Bucket and prefix of stored files; without it they are in data_dir.",
-    )
-    broker_url: str = Field(
-        default="redis://127.0.0.1:6379/0", description="URL of Celery's broker; `multicap serve` sets it."
-    )
+    data_dir: Path = Field(default_factory=default_data_dir)
+    """Data folder: database, stored files, unfinished uploads, logs. Default: `service` in the user's data folder."""
+    database_url: str = ""
+    """SQLAlchemy URL of the database, such as postgresql://user:password@host/name; without it SQLite in data_dir."""
+    artifacts_url: str = Field(default="", pattern=ARTIFACTS_URL, examples=["s3://bucket/prefix"])
+    """Bucket and prefix of stored files; without it they are in data_dir."""
+    broker_url: str = "redis://127.0.0.1:6379/0"
+    """URL of Celery's broker; `multicap serve` sets it."""
     log_level: LogLevel = Field(default="info", description="Lowest level of the events that are logged.")
-    headroom_bytes: int | None = Field(
-        default=None,
-        ge=0,
-        description="Bytes on the disk of data_dir that are kept free. With fewer free bytes nothing new is accepted "
-        "(507), and workers start no chunk. Default: 5 % of the disk, at most 256 MiB.",
-    )
-    webhook_private: bool = Field(
-        default=False,
-        description="Whether webhooks may go to addresses of private networks and of this machine, also without TLS. "
-        "Set it for the API and the reaper.",
-    )
+    headroom_bytes: int | None = Field(default=None, ge=0)
+    """Bytes on the disk of data_dir that are kept free. With fewer free bytes nothing new is accepted (507), and
+    workers start no chunk. Default: 5 % of the disk, at most 256 MiB."""
+    webhook_private: bool = False
+    """Whether webhooks may go to addresses of private networks and of this machine, also without TLS. Set it for the
+    API and the reaper."""
 
     @classmethod
     def settings_customise_sources(
@@ -196,67 +180,37 @@ class SharedSettings(BaseSettings):
 class WorkerSettings(SharedSettings):
     """Leases and limits of workers and reaper."""
 
-    cache_bytes: int = Field(
-        default=DEFAULT_CACHE_BYTES,
-        gt=0,
-        description="Largest size of a worker's copies in data_dir of videos at artifacts_url, without copies in use.",
-    )
+    cache_bytes: int = Field(default=DEFAULT_CACHE_BYTES, gt=0)
+    """Largest size of a worker's copies in data_dir of videos at artifacts_url, without copies in use."""
     cache_hours: float = Field(default=DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused copy is kept.")
-    lease_s: float = Field(
-        default=20.0, gt=0, description="Time without a heartbeat after which a worker loses its chunk."
-    )
-    heartbeat_s: float = Field(
-        default=2.0,
-        gt=0,
-        description="Time between heartbeats, with which a worker reports its progress and learns of a cancel.",
-    )
-    visuals_rest_s: float = Field(
-        default=300.0,
-        ge=0,
-        description="Time after the last edit of a capture's people at which overlay videos, report and recording of a "
-        "job are rebuilt; 0: only on request.",
-    )
-    reap_interval_s: float = Field(
-        default=5.0, gt=0, description="Time between two checks of the reaper for lost work."
-    )
-    nice: int = Field(
-        default=10,
-        ge=0,
-        le=19,
-        description="Niceness of workers: it lowers their priority, so that an API on the same machine answers.",
-    )
-    memory_bytes: int = Field(
-        default=7 * 2**29,
-        ge=2**29,
-        description="Memory of a worker process without code and unused reserves (RLIMIT_DATA). A chunk that needs "
-        "more ends its job with `memory_limit`; the worker continues.",
-    )
-    machine_memory_bytes: int | None = Field(
-        default=None,
-        gt=0,
-        description="Memory that the chunks at work on a machine may need together by the forecast; a further chunk "
-        "waits. Default: nine tenths of the machine's memory, or of the container's limit (of cgroups of version 2; "
-        "set it under version 1).",
-    )
-    reserve_gpu: bool = Field(
-        default=False,
-        description="Whether a worker with a GPU takes chunks of networks alone, while ready workers without a GPU "
-        "run the others; otherwise it takes chunks of networks first.",
-    )
-    provider: ProviderChoice = Field(
-        default="auto",
-        description="What runs the networks of workers, see `multicap help providers`; auto is CUDA where it works, "
-        "else the CPU.",
-    )
-    chunk_time_factor: float = Field(
-        default=10.0,
-        gt=0,
-        description="A chunk is stopped after ten minutes and this many times the time foreseen for it: a tenth of a "
-        "second for each of its units, such as frames of a camera.",
-    )
-    claim_for_s: float = Field(
-        default=300.0, gt=0, description="Time for which a worker claims chunks after one message."
-    )
+    lease_s: float = Field(default=20.0, gt=0)
+    """Time without a heartbeat after which a worker loses its chunk."""
+    heartbeat_s: float = Field(default=2.0, gt=0)
+    """Time between heartbeats, with which a worker reports its progress and learns of a cancel."""
+    visuals_rest_s: float = Field(default=300.0, ge=0)
+    """Time after the last edit of a capture's people at which overlay videos, report and recording of a job are
+    rebuilt; 0: only on request."""
+    reap_interval_s: float = Field(default=5.0, gt=0)
+    """Time between two checks of the reaper for lost work."""
+    nice: int = Field(default=10, ge=0, le=19)
+    """Niceness of workers: it lowers their priority, so that an API on the same machine answers."""
+    memory_bytes: int = Field(default=7 * 2**29, ge=2**29)
+    """Memory of a worker process without code and unused reserves (RLIMIT_DATA). A chunk that needs more ends its job
+    with `memory_limit`; the worker continues."""
+    machine_memory_bytes: int | None = Field(default=None, gt=0)
+    """Memory that the chunks at work on a machine may need together by the forecast; a further chunk waits. Default:
+    nine tenths of the machine's memory, or of the container's limit (of cgroups of version 2; set it under version
+    1)."""
+    reserve_gpu: bool = False
+    """Whether a worker with a GPU takes chunks of networks alone, while ready workers without a GPU run the others;
+    otherwise it takes chunks of networks first."""
+    provider: ProviderChoice = "auto"
+    """What runs the networks of workers, see `multicap help providers`; auto is CUDA where it works, else the CPU."""
+    chunk_time_factor: float = Field(default=10.0, gt=0)
+    """A chunk is stopped after ten minutes and this many times the time foreseen for it: a tenth of a second for each
+    of its units, such as frames of a camera."""
+    claim_for_s: float = Field(default=300.0, gt=0)
+    """Time for which a worker claims chunks after one message."""
 
     def open_artifacts(self) -> ArtifactStore:
         """Open the artifact store."""

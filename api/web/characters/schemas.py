@@ -3,10 +3,10 @@
 from typing import Annotated, Any, Literal, Self
 from uuid import UUID
 
-from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, AwareDatetime, Field
 
 from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, printable_name
+from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import CHARACTER, UploadedFiles
 from worker.store.model.character_records import Character, CharacterSummary
 
@@ -25,18 +25,12 @@ Corrections = Annotated[
 ]
 
 
-class CharacterSpec(BaseModel):
+class CharacterSpec(RequestModel):
     """Choices of a character beside its file. Unknown fields are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     name: _Name | None = Field(default=None, description="Name for people; by default the name of the file.")
-    bones: Corrections = Field(
-        default={},
-        description="Bones by joint that go before those that are recognised; null: the joint has no bone. Others are "
-        "recognised.",
-        examples=[{"LeftArm": "upperarm_l", "LeftShoulder": None}],
-    )
+    bones: Corrections = Field(default={}, examples=[{"LeftArm": "upperarm_l", "LeftShoulder": None}])
+    """Bones by joint that go before those that are recognised; null: the joint has no bone. Others are recognised."""
 
 
 class UploadedCharacter(UploadedFiles, CharacterSpec):
@@ -49,17 +43,13 @@ class UploadedCharacter(UploadedFiles, CharacterSpec):
         return [(CHARACTER, self.character)]
 
 
-class CharacterChanges(BaseModel):
+class CharacterChanges(RequestModel):
     """Changes of a character; what is left out stays. Unknown fields are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     name: _Name | None = Field(default=None, description="Name of the character for people.", examples=["Robot, March"])
-    bones: Corrections | None = Field(
-        default=None,
-        description="Corrections in place of earlier ones: bones by joint, null for a joint that has no bone. An empty "
-        "object takes all corrections back.",
-    )
+    bones: Corrections | None = None
+    """Corrections in place of earlier ones: bones by joint, null for a joint that has no bone. An empty object takes
+    all corrections back."""
 
 
 class CharacterUrls(ResponseModel):
@@ -80,15 +70,12 @@ class CharacterSummaryOut(ResponseModel):
     sha256: str = Field(description="SHA-256 of the file.", examples=[SHA256])
     format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"] = Field(description="Format of the file.", examples=["VRM 1.0"])
     method: Method = Field(description=f"How the bones were recognised. {_METHODS}")
-    stature: float = Field(
-        description="Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; FBX "
-        "is converted to metres.",
-        examples=[1.72],
-    )
+    stature: float = Field(examples=[1.72])
+    """Height of the mesh in the rest pose, in the file's unit: metres by the rules of glTF; FBX is converted to
+    metres."""
     num_bones: int = Field(description="Number of bones.", examples=[54])
-    num_vertices: int = Field(
-        description="Number of vertices that bones move; those in compressed form don't count.", examples=[12_480]
-    )
+    num_vertices: int = Field(examples=[12_480])
+    """Number of vertices that bones move; those in compressed form don't count."""
     urls: CharacterUrls
 
     @classmethod
@@ -114,9 +101,8 @@ class JointOut(ResponseModel):
 
     joint: str = Field(description="Name of the joint.", examples=["LeftArm"])
     bone: str | None = Field(description="Name of the bone; null: the joint has none.", examples=["upperarm_l"])
-    recognised_by: Method | None = Field(
-        description="How the bone was recognised; `table`: it was stated.", examples=["vrm"]
-    )
+    recognised_by: Method | None = Field(examples=["vrm"])
+    """How the bone was recognised; `table`: it was stated."""
     is_required: bool = Field(description="Whether each character must have the bone.", examples=[True])
 
 
@@ -125,10 +111,8 @@ class BoneOut(ResponseModel):
 
     bone: str = Field(description="Name of the bone.", examples=["upperarm_l"])
     parent: str | None = Field(description="Name of the next bone above; null at the top.", examples=["spine"])
-    position: tuple[float, float, float] = Field(
-        description="Position of the bone's joint, in the unit of the stature, Z up; the character faces -Y.",
-        examples=[[0.18, 0.02, 1.4]],
-    )
+    position: tuple[float, float, float] = Field(examples=[[0.18, 0.02, 1.4]])
+    """Position of the bone's joint, in the unit of the stature, Z up; the character faces -Y."""
 
 
 class CharacterOut(CharacterSummaryOut):
@@ -138,16 +122,13 @@ class CharacterOut(CharacterSummaryOut):
     spine: tuple[str, ...] = Field(description="Bones between hips and arms, from below.", examples=[["spine"]])
     neck: tuple[str, ...] = Field(description="Bones between arms and head, from below.", examples=[["neck"]])
     twists: dict[str, str] = Field(description="Bones that share the twist of a limb, with the joint at its end.")
-    at_rest: tuple[str, ...] = Field(
-        description="Bones without a counterpart, which stay at rest.", examples=[["tail"]]
-    )
-    warnings: tuple[FindingOut, ...] = Field(
-        description="Warnings about hands and feet that hang elsewhere than on their limbs."
-    )
+    at_rest: tuple[str, ...] = Field(examples=[["tail"]])
+    """Bones without a counterpart, which stay at rest."""
+    warnings: tuple[FindingOut, ...]
+    """Warnings about hands and feet that hang elsewhere than on their limbs."""
     skeleton: tuple[BoneOut, ...] = Field(description="All bones, parents before their children.")
-    corrections: dict[str, str | None] = Field(
-        description="Bones by joint that were stated; null: no bone.", examples=[{"LeftArm": "upperarm_l"}]
-    )
+    corrections: dict[str, str | None] = Field(examples=[{"LeftArm": "upperarm_l"}])
+    """Bones by joint that were stated; null: no bone."""
 
     @classmethod
     def from_bones(cls, character: Character) -> Self:

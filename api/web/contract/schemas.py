@@ -3,8 +3,8 @@
 import unicodedata
 from typing import Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field
-from pydantic_core import PydanticCustomError
+from pydantic import BaseModel, ConfigDict, Field, GetJsonSchemaHandler
+from pydantic_core import CoreSchema, PydanticCustomError
 
 from api.web.contract.examples import WARNING
 from pipeline.core.findings import Severity
@@ -32,7 +32,27 @@ def printable_name(text: str) -> str:
     return text
 
 
-class ResponseModel(BaseModel):
+class DescribedModel(BaseModel):
+    """Base of all bodies and messages: a long description of a field stands below the field."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        schema = handler(core_schema)
+        for field in handler.resolve_ref_schema(schema).get("properties", {}).values():
+            if "description" in field:
+                field["description"] = " ".join(field["description"].split())
+        return schema
+
+
+class RequestModel(DescribedModel):
+    """Base of the bodies of requests. Unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ResponseModel(DescribedModel):
     """Base of the bodies of responses, and of the webhooks, whose schema is the same."""
 
     model_config = ConfigDict(
@@ -49,28 +69,17 @@ class ResponseModel(BaseModel):
 class FindingOut(ResponseModel):
     """Finding of a check: what is wrong or odd, how it was measured, and how to mend it."""
 
-    code: Code = Field(
-        description="Stable code, such as `same_video`; `/help/problems` lists all codes.",
-        examples=["frames_repeated"],
-    )
-    camera: str | None = Field(
-        default=None, description="Name of the camera; null if it is not about one camera.", examples=["cam_0"]
-    )
-    severity: Severity = Field(
-        default="warning",
-        description="`error`: the result will be wrong or empty; `warning`: it may be; `info`: something to know.",
-    )
+    code: Code = Field(examples=["frames_repeated"])
+    """Stable code, such as `same_video`; `/help/problems` lists all codes."""
+    camera: str | None = Field(default=None, examples=["cam_0"])
+    """Name of the camera; null if it is not about one camera."""
+    severity: Severity = "warning"
+    """`error`: the result will be wrong or empty; `warning`: it may be; `info`: something to know."""
     message: str = Field(description="Sentence for people.", examples=[WARNING])
-    hint: str | None = Field(
-        default=None,
-        description="Remedy; null if there is nothing to mend.",
-        examples=["Export the video again at a constant frame rate."],
-    )
-    evidence: dict[str, Any] = Field(
-        default_factory=dict,
-        description="What was measured, by name; `/help/findings` describes it for each code.",
-        examples=[{"file": "cam_0.mp4", "num_frames": 1}],
-    )
+    hint: str | None = Field(default=None, examples=["Export the video again at a constant frame rate."])
+    """Remedy; null if there is nothing to mend."""
+    evidence: dict[str, Any] = Field(default_factory=dict, examples=[{"file": "cam_0.mp4", "num_frames": 1}])
+    """What was measured, by name; `/help/findings` describes it for each code."""
 
 
 class SpaceOut(ResponseModel):
@@ -78,7 +87,6 @@ class SpaceOut(ResponseModel):
 
     store_bytes: int = Field(description="Outputs of stages and result files, which stay in the store.")
     scratch_bytes: int = Field(description="Temporary files of a worker meanwhile, in its folder for them.")
-    num_people: int = Field(
-        description="Number of people that was assumed: of keypoints as many as a camera shows at a time, of videos "
-        "three, and at most `people` of the spec."
-    )
+    num_people: int
+    """Number of people that was assumed: of keypoints as many as a camera shows at a time, of videos three, and at most
+    `people` of the spec."""

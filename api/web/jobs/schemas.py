@@ -51,19 +51,15 @@ class JobError(ResponseModel):
     """Error of a job or of an attempt at a chunk."""
 
     code: Code = Field(description="Stable code; `/help/problems` lists all codes.", examples=["worker_lost"])
-    detail: str = Field(
-        description="Description of the error, a sentence for a person.",
-        examples=["A worker stopped responding."],
-    )
+    detail: str = Field(examples=["A worker stopped responding."])
+    """Description of the error, a sentence for a person."""
     stage: str | None = Field(description="Stage that failed.", examples=[DETECT])
     camera: str | None = Field(description="Camera whose file caused the error.")
     hint: str | None = Field(description="Advice to the caller.", examples=["It may lack memory."])
     retryable: bool = Field(description="Whether another attempt may succeed.", examples=[True])
-    errors: tuple[SessionErrorOut, ...] = Field(
-        default=(),
-        description="Errors of the session with `session_unusable`, or `session_refused`: with `force` another job "
-        "reconstructs it all the same.",
-    )
+    errors: tuple[SessionErrorOut, ...] = ()
+    """Errors of the session with `session_unusable`, or `session_refused`: with `force` another job reconstructs it all
+    the same."""
 
 
 class FailureOut(ResponseModel):
@@ -87,9 +83,8 @@ class AttemptOut(ResponseModel):
     attempt: int = Field(description="Number of the attempt, from 1.")
     state: JobState = Field(description="State of the job in this attempt.", examples=["running"])
     queued_at: AwareDatetime = Field(description="Time at which the attempt was queued.")
-    started_at: AwareDatetime | None = Field(
-        description="Start of the attempt; null while it is queued.", examples=[TIME]
-    )
+    started_at: AwareDatetime | None = Field(examples=[TIME])
+    """Start of the attempt; null while it is queued."""
     finished_at: AwareDatetime | None = Field(description="End of the attempt; null before.")
     error: JobError | None = Field(description="Error that ended the attempt; null if it did not fail.")
     failures: tuple[FailureOut, ...] = Field(description="Failed attempts at chunks, in the order of time.")
@@ -115,28 +110,20 @@ class JobUrls(ResponseModel):
     attempts: str = Field(description="Path of the job's attempts.", examples=[f"/v1/jobs/{ID}/attempts"])
     events: str = Field(description="Path of the job's event stream.", examples=[f"/v1/jobs/{ID}/events"])
     results: str = Field(description="Path of the list of result files.", examples=[f"/v1/jobs/{ID}/results"])
-    results_zip: str = Field(
-        description="Path of the archive of all result files.", examples=[f"/v1/jobs/{ID}/results.zip"]
-    )
-    edits: str | None = Field(
-        description="Path of the capture's edits in this run; null until people are found.",
-        examples=[f"/v1/sessions/{ID}/edits?job_id={ID}"],
-    )
-    files: str | None = Field(
-        description="Path that adds files, and applies the capture's present edits; null until people are found.",
-        examples=[f"/v1/jobs/{ID}/files"],
-    )
-    cancel: str | None = Field(
-        description="Path that cancels the job, or the update of its files; null once nothing is at work."
-    )
-    visuals: str | None = Field(
-        description="Path that makes overlay videos, report and recording again; null unless they are of earlier edits "
-        "than the other files, and no job makes them; of overlay videos also if the session's videos were deleted."
-    )
-    retry: str | None = Field(
-        description="Path that retries the job, or the update of its files; null unless it was canceled, or failed "
-        "with a retryable error."
-    )
+    results_zip: str = Field(examples=[f"/v1/jobs/{ID}/results.zip"])
+    """Path of the archive of all result files."""
+    edits: str | None = Field(examples=[f"/v1/sessions/{ID}/edits?job_id={ID}"])
+    """Path of the capture's edits in this run; null until people are found."""
+    files: str | None = Field(examples=[f"/v1/jobs/{ID}/files"])
+    """Path that adds files, and applies the capture's present edits; null until people are found."""
+    cancel: str | None
+    """Path that cancels the job, or the update of its files; null once nothing is at work."""
+    visuals: str | None
+    """Path that makes overlay videos, report and recording again; null unless they are of earlier edits than the other
+    files, and no job makes them; of overlay videos also if the session's videos were deleted."""
+    retry: str | None
+    """Path that retries the job, or the update of its files; null unless it was canceled, or failed with a retryable
+    error."""
 
 
 class VisualsJobOut(ResponseModel):
@@ -157,73 +144,49 @@ class JobOut(ResponseModel):
     calibration_id: Id | None = Field(description="Calibration that the job makes; null of others.")
     session_id: Id
     session_name: str = Field(description="Name of the session.", examples=["Handshake, take 3"])
-    num_frames: int = Field(
-        description="Output frames of the whole session; `spec.frame_range` may select some.", examples=[300]
-    )
-    duration_s: float = Field(
-        description="Duration of the session: output frames divided by the frame rate.", examples=[12.0]
-    )
+    num_frames: int = Field(examples=[300])
+    """Output frames of the whole session; `spec.frame_range` may select some."""
+    duration_s: float = Field(examples=[12.0])
+    """Duration of the session: output frames divided by the frame rate."""
     state: JobState = Field(description="State of the job.", examples=["succeeded"])
-    files_state: FilesState | None = Field(
-        description="State of the files: `current`; `updating`, they are made again after an edit or with more "
-        "formats; `failed`, they could not be made again. Meanwhile the earlier files can be read. Null unless `state` "
-        "is `succeeded`.",
-        examples=["current"],
-    )
+    files_state: FilesState | None = Field(examples=["current"])
+    """State of the files: `current`; `updating`, they are made again after an edit or with more formats; `failed`, they
+    could not be made again. Meanwhile the earlier files can be read. Null unless `state` is `succeeded`."""
     spec: JobSpec = Field(description="Choices of the job.", examples=[JobSpec().model_dump(mode="json")])
     attempt: int = Field(description="Number of the current attempt, from 1.")
     revision: int = Field(description="Number of times that the job's files were made again.", examples=[0])
-    edits_revision: int | None = Field(
-        description="Revision of the capture's edits that the files of `revision` apply; null if they are left out.",
-        examples=[0],
-    )
-    newest_edits_revision: int = Field(
-        description="Present revision of the capture's edits; a later one than `edits_revision` has more edits.",
-        examples=[0],
-    )
-    results_revision: int | None = Field(
-        description="Revision whose result files can be read, also while the files of `revision` are made; null before "
-        "the first files are.",
-        examples=[0],
-    )
-    visuals_job: VisualsJobOut | None = Field(
-        description="Job that makes the visuals of these edits; null without one."
-    )
-    provider: ProviderName | None = Field(
-        description="Execution provider that its networks run on, such as `cuda`; null if it runs none.",
-        examples=["cpu"],
-    )
+    edits_revision: int | None = Field(examples=[0])
+    """Revision of the capture's edits that the files of `revision` apply; null if they are left out."""
+    newest_edits_revision: int = Field(examples=[0])
+    """Present revision of the capture's edits; a later one than `edits_revision` has more edits."""
+    results_revision: int | None = Field(examples=[0])
+    """Revision whose result files can be read, also while the files of `revision` are made; null before the first files
+    are."""
+    visuals_job: VisualsJobOut | None
+    """Job that makes the visuals of these edits; null without one."""
+    provider: ProviderName | None = Field(examples=["cpu"])
+    """Execution provider that its networks run on, such as `cuda`; null if it runs none."""
     stages: tuple[StageOut, ...] = Field(description="Stages of the job, in order.")
-    progress: float = Field(
-        ge=0, le=1, description="Share of the work that is done; it never decreases within an attempt."
-    )
+    progress: float = Field(ge=0, le=1)
+    """Share of the work that is done; it never decreases within an attempt."""
     queue_position: int | None = Field(description="Position in the queue, from 1; null once the job runs.")
-    eta_s: float | None = Field(
-        ge=0,
-        description="Estimated seconds left, from the work that is done; null before any work is done, and at the end.",
-    )
+    eta_s: float | None = Field(ge=0)
+    """Estimated seconds left, from the work that is done; null before any work is done, and at the end."""
     created_at: AwareDatetime = Field(description="Time of the creation.")
-    started_at: AwareDatetime | None = Field(
-        description="Start of the current attempt; null while it is queued.", examples=[TIME]
-    )
+    started_at: AwareDatetime | None = Field(examples=[TIME])
+    """Start of the current attempt; null while it is queued."""
     finished_at: AwareDatetime | None = Field(description="End of the current attempt; null before.", examples=[TIME])
-    expires_at: AwareDatetime | None = Field(
-        description="Time at which results are deleted; null if they are kept until the job is deleted."
-    )
-    error: JobError | None = Field(
-        description="Error that ended the job, or the update of its files; null if it did not fail."
-    )
-    waiting_for: JobError | None = Field(
-        description="What the job waits for: an outage such as `artifacts_unavailable`, or `videos_fetching`. The job "
-        "continues by itself, and no attempt is lost. Null if nothing keeps it waiting."
-    )
-    warnings: tuple[FindingOut, ...] = Field(
-        description="Warnings about the files, the choices and, once finished, the result, such as `nobody_found`."
-    )
-    space: SpaceOut | None = Field(
-        default=None,
-        description="Space that the reconstruction was foreseen to need before it started; null of other jobs.",
-    )
+    expires_at: AwareDatetime | None
+    """Time at which results are deleted; null if they are kept until the job is deleted."""
+    error: JobError | None
+    """Error that ended the job, or the update of its files; null if it did not fail."""
+    waiting_for: JobError | None
+    """What the job waits for: an outage such as `artifacts_unavailable`, or `videos_fetching`. The job continues by
+    itself, and no attempt is lost. Null if nothing keeps it waiting."""
+    warnings: tuple[FindingOut, ...]
+    """Warnings about the files, the choices and, once finished, the result, such as `nobody_found`."""
+    space: SpaceOut | None = None
+    """Space that the reconstruction was foreseen to need before it started; null of other jobs."""
     urls: JobUrls
 
     @classmethod
@@ -292,10 +255,7 @@ class JobEnded(ResponseModel):
     Its headers are `webhook-id`, `webhook-timestamp` and `webhook-signature`.
     """
 
-    type: str = Field(
-        description="Type of the message: `job.` and the state of the job; after an edit `job.files_current` or "
-        "`job.files_failed`.",
-        examples=["job.succeeded"],
-    )
+    type: str = Field(examples=["job.succeeded"])
+    """Type of the message: `job.` and the state of the job; after an edit `job.files_current` or `job.files_failed`."""
     timestamp: AwareDatetime = Field(description="Time of the end.")
     data: EndedJob

@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 from api.web.contract.asyncapi import SocketChannel, describe_sockets
 from api.web.contract.examples import ID
+from api.web.contract.schemas import DescribedModel, RequestModel
 from api.web.http.websockets import SocketProblemOut
 from api.web.motion import MotionPose
 from api.web.recordings.schemas import TakeCalibrationSpec
@@ -38,22 +39,17 @@ _Length = Annotated[float, Field(ge=0.0, le=2.0, allow_inf_nan=False)]
 _Lengths = Annotated[tuple[_Length, ...], FailFast(), Field(max_length=64)]
 
 
-class _Received(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+class _Received(RequestModel):
+    model_config = ConfigDict(strict=True)
 
 
 class _Start(_Received):
-    calibration: dict[str, Any] | list[Any] | None = Field(
-        default=None,
-        description="Content of a calibration file in one of the formats in JSON that sessions accept; or "
-        "`calibration_id`.",
-    )
-    calibration_id: UUID | None = Field(
-        default=None, description="Calibration of the service, of any format; or `calibration`.", examples=[ID]
-    )
-    units: Literal["m", "cm", "mm"] | None = Field(
-        default=None, description="Unit of length of a calibration whose format does not state it; null: metres."
-    )
+    calibration: dict[str, Any] | list[Any] | None = None
+    """Content of a calibration file in one of the formats in JSON that sessions accept; or `calibration_id`."""
+    calibration_id: UUID | None = Field(default=None, examples=[ID])
+    """Calibration of the service, of any format; or `calibration`."""
+    units: Literal["m", "cm", "mm"] | None = None
+    """Unit of length of a calibration whose format does not state it; null: metres."""
     up: Up = Field(default="z", description="Axis of the calibration that points up.")
     format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
     keep: bool = Field(default=False, description="Whether the keypoints become a session when the client sends `end`.")
@@ -65,44 +61,21 @@ class LiveStart(_Start):
 
     type: Literal["start"]
     layout: Layout = Field(description="Points of a person, in their order.")
-    frame_rate_hz: float = Field(
-        ge=1.0, le=1000.0, allow_inf_nan=False, description="Frame rate of the fastest camera.", examples=[60.0]
-    )
-    output_rate_hz: float | None = Field(
-        default=None,
-        ge=0.1,
-        le=1000.0,
-        allow_inf_nan=False,
-        description="Rate of the instants that are sent back; null: the rate of the cameras.",
-    )
-    window_s: float = Field(
-        default=0.1,
-        ge=0.001,
-        le=10.0,
-        allow_inf_nan=False,
-        description="Longest time that a frame waits for earlier frames of other cameras.",
-    )
-    is_ordered: bool = Field(
-        default=True,
-        description="Whether the frames of each camera come in their order. If not, every frame waits for `window_s`.",
-    )
-    learn_s: float = Field(
-        default=3.0,
-        ge=0.2,
-        le=60.0,
-        allow_inf_nan=False,
-        description="Time in sight after which a person's bones are learnt, and the person has a skeleton.",
-    )
-    bodies: Annotated[tuple[_Lengths, ...], FailFast()] = Field(
-        default=(),
-        max_length=32,
-        description="Lengths of bones of people of earlier takes in metres, in the order of `bones` of `ready`. These "
-        "people have the first numbers, and are recognised by their proportions.",
-    )
-    joint_centers: Literal["off", "movenet-multipose", "openpose-mobilenet-thin"] = Field(
-        default="off",
-        description="Network whose offsets of the marks from the joints' centres are used, as in jobs; off: none.",
-    )
+    frame_rate_hz: float = Field(ge=1.0, le=1000.0, allow_inf_nan=False, examples=[60.0])
+    """Frame rate of the fastest camera."""
+    output_rate_hz: float | None = Field(default=None, ge=0.1, le=1000.0, allow_inf_nan=False)
+    """Rate of the instants that are sent back; null: the rate of the cameras."""
+    window_s: float = Field(default=0.1, ge=0.001, le=10.0, allow_inf_nan=False)
+    """Longest time that a frame waits for earlier frames of other cameras."""
+    is_ordered: bool = True
+    """Whether the frames of each camera come in their order. If not, every frame waits for `window_s`."""
+    learn_s: float = Field(default=3.0, ge=0.2, le=60.0, allow_inf_nan=False)
+    """Time in sight after which a person's bones are learnt, and the person has a skeleton."""
+    bodies: Annotated[tuple[_Lengths, ...], FailFast()] = Field(default=(), max_length=32)
+    """Lengths of bones of people of earlier takes in metres, in the order of `bones` of `ready`. These people have the
+    first numbers, and are recognised by their proportions."""
+    joint_centers: Literal["off", "movenet-multipose", "openpose-mobilenet-thin"] = "off"
+    """Network whose offsets of the marks from the joints' centres are used, as in jobs; off: none."""
 
     def settings(self) -> dict[str, Any]:
         """Settings of the computation."""
@@ -115,38 +88,26 @@ class LiveCameraIn(_Received):
     """Camera that the service opens."""
 
     camera: str = Field(min_length=1, max_length=200, description="Name of the camera.", examples=["cam_1"])
-    source: str = Field(
-        min_length=1,
-        max_length=2000,
-        description="Address of its stream, `rtsp://`, `rtsps://`, `http://` or `https://`, with user and password if "
-        "it wants them; or a `device` of `GET /v1/live/devices`.",
-        examples=["rtsp://192.168.0.11/stream"],
-    )
+    source: str = Field(min_length=1, max_length=2000, examples=["rtsp://192.168.0.11/stream"])
+    """Address of its stream, `rtsp://`, `rtsps://`, `http://` or `https://`, with user and password if it wants them;
+    or a `device` of `GET /v1/live/devices`."""
 
 
 class LiveCamerasStart(_Start):
     """First message of a client whose cameras the service opens, and in whose pictures it detects the people."""
 
     type: Literal["start_cameras"]
-    cameras: tuple[LiveCameraIn, ...] = Field(
-        min_length=2, max_length=64, description="Cameras of the calibration, two or more."
-    )
+    cameras: tuple[LiveCameraIn, ...] = Field(min_length=2, max_length=64)
+    """Cameras of the calibration, two or more."""
     profile: Profile = Field(default="fast", description="Networks that find the joints, by speed and accuracy.")
     joints: DetectedJoints = Field(default="auto", description="Joints to find.")
-    sync_s: float | None = Field(
-        default=None,
-        ge=3.0,
-        le=25.0,
-        allow_inf_nan=False,
-        description="Length of the beginning from whose people constant offsets of the cameras' clocks are found.",
-    )
+    sync_s: float | None = Field(default=None, ge=3.0, le=25.0, allow_inf_nan=False)
+    """Length of the beginning from whose people constant offsets of the cameras' clocks are found."""
     vmc: tuple[Annotated[str, Field(min_length=1, max_length=300)], ...] = Field(
-        default=(),
-        max_length=16,
-        description="Receivers of the VMC protocol, each `[HOST:]PORT`, as the service's machine reaches them: one a "
-        "person. It has neither keys nor encryption.",
-        examples=[["192.168.0.20:39539"]],
+        default=(), max_length=16, examples=[["192.168.0.20:39539"]]
     )
+    """Receivers of the VMC protocol, each `[HOST:]PORT`, as the service's machine reaches them: one a person. It has
+    neither keys nor encryption."""
 
 
 class LiveRecordStart(TakeCalibrationSpec):
@@ -154,35 +115,20 @@ class LiveRecordStart(TakeCalibrationSpec):
 
     type: Literal["record_cameras"]
     cameras: tuple[LiveCameraIn, ...] = Field(min_length=2, max_length=64, description="Cameras, two or more.")
-    duration_s: float = Field(
-        default=20.0,
-        ge=1.0,
-        le=60.0,
-        allow_inf_nan=False,
-        description="Length of the recording, in which the board is shown or people of these statures walk about.",
-    )
+    duration_s: float = Field(default=20.0, ge=1.0, le=60.0, allow_inf_nan=False)
+    """Length of the recording, in which the board is shown or people of these statures walk about."""
 
 
 class LiveKeypoints(_Received):
     """Keypoints of a camera's frame. Frames without people are sent too: the capture waits for each camera."""
 
     type: Literal["keypoints"]
-    camera: str | Annotated[int, Field(ge=0, le=65_535)] = Field(
-        description="Name of the camera, or its place in `cameras` of the message `ready`.", examples=["cam_1"]
-    )
-    time_s: float = Field(
-        ge=-MAX_TIME_S,
-        le=MAX_TIME_S,
-        allow_inf_nan=False,
-        description="Time of the frame on the cameras' clock.",
-        examples=[12.35],
-    )
-    people: Annotated[tuple[_Points, ...], FailFast()] = Field(
-        max_length=128,
-        description="For each person all points of the layout: x and y in pixels, and the score, 0 where a point was "
-        "not found.",
-        examples=[[[[612.5, 204.0, 0.98]] * 17]],
-    )
+    camera: str | Annotated[int, Field(ge=0, le=65_535)] = Field(examples=["cam_1"])
+    """Name of the camera, or its place in `cameras` of the message `ready`."""
+    time_s: float = Field(ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False, examples=[12.35])
+    """Time of the frame on the cameras' clock."""
+    people: Annotated[tuple[_Points, ...], FailFast()] = Field(max_length=128, examples=[[[[612.5, 204.0, 0.98]] * 17]])
+    """For each person all points of the layout: x and y in pixels, and the score, 0 where a point was not found."""
 
 
 class LiveEnd(_Received):
@@ -191,7 +137,7 @@ class LiveEnd(_Received):
     type: Literal["end"]
 
 
-class _Sent(BaseModel):
+class _Sent(DescribedModel):
     model_config = ConfigDict(frozen=True, json_schema_serialization_defaults_required=True)
 
 
@@ -211,25 +157,19 @@ class LiveReady(_Sent):
     """First message of the service: the capture has begun."""
 
     type: Literal["ready"] = "ready"
-    cameras: tuple[str, ...] = Field(
-        description="Names of the cameras; packets state places in this list.", examples=[["cam_1"]]
-    )
+    cameras: tuple[str, ...] = Field(examples=[["cam_1"]])
+    """Names of the cameras; packets state places in this list."""
     layout: Layout = Field(description="Layout of the keypoints.")
-    joints: tuple[str, ...] = Field(
-        description="Names of the joints in `joints_m` of people.", examples=[["nose", "left_eye"]]
-    )
+    joints: tuple[str, ...] = Field(examples=[["nose", "left_eye"]])
+    """Names of the joints in `joints_m` of people."""
     bones: tuple[str, ...] = Field(description="Names of the joints of skeletons.", examples=[["Hips", "Spine"]])
-    parents: tuple[str | None, ...] = Field(
-        description="Parent of each joint of skeletons; null for the root.", examples=[[None, "Hips"]]
-    )
+    parents: tuple[str | None, ...] = Field(examples=[[None, "Hips"]])
+    """Parent of each joint of skeletons; null for the root."""
     rig: tuple[LiveCameraOut, ...] = Field(description="Cameras as the capture uses them, in the order of `cameras`.")
-    frame_rate_hz: float | None = Field(
-        default=None, description="Rate of the instants of cameras that the service opens.", examples=[12.5]
-    )
-    limits: dict[str, float] = Field(
-        description="Limits of the connection: bytes, rates, people, times; none of cameras that the service opens.",
-        examples=[{"message_bytes": 1_048_576, "people": 32, "idle_s": 30.0}],
-    )
+    frame_rate_hz: float | None = Field(default=None, examples=[12.5])
+    """Rate of the instants of cameras that the service opens."""
+    limits: dict[str, float] = Field(examples=[{"message_bytes": 1_048_576, "people": 32, "idle_s": 30.0}])
+    """Limits of the connection: bytes, rates, people, times; none of cameras that the service opens."""
     request_id: str = Field(description="Id of the connection, also in the service's log.", examples=[ID])
 
 
@@ -247,9 +187,8 @@ class LiveSkeletonOut(_Sent):
     """Pose of a person's animation skeleton; `/help/conventions` describes the rest pose."""
 
     root_m: _Point = Field(description="World position of the root.")
-    rotations_xyzw: tuple[tuple[float, float, float, float], ...] = Field(
-        description="Rotation of each joint to its parent, or of the root to the world, as a quaternion."
-    )
+    rotations_xyzw: tuple[tuple[float, float, float, float], ...]
+    """Rotation of each joint to its parent, or of the root to the world, as a quaternion."""
     bone_lengths_m: tuple[float, ...] = Field(description="Length of the bone from its parent to each joint.")
     joints_m: tuple[_Point, ...] = Field(description="World position of each joint.")
 
@@ -258,10 +197,8 @@ class LivePersonOut(_Sent):
     """Person at an instant."""
 
     id: int = Field(description="Number of the person, the same for the whole capture.")
-    joints_m: tuple[_Point | None, ...] = Field(
-        description="World position of each of `joints`; null where it is unknown.",
-        examples=[[[0.52, -1.13, 1.61], None]],
-    )
+    joints_m: tuple[_Point | None, ...] = Field(examples=[[[0.52, -1.13, 1.61], None]])
+    """World position of each of `joints`; null where it is unknown."""
     skeleton: LiveSkeletonOut | None = Field(description="Skeleton; null until the person's bones are learnt.")
 
 
@@ -321,10 +258,9 @@ class LiveDeviceOut(_Sent):
 class LiveDevicesOut(_Sent):
     """Cameras that live captures may open."""
 
-    allows_private: bool = Field(
-        description="Whether cameras of the service's machine and addresses of private networks may be opened; public "
-        "addresses may be."
-    )
+    allows_private: bool
+    """Whether cameras of the service's machine and addresses of private networks may be opened; public addresses may
+    be."""
     devices: tuple[LiveDeviceOut, ...] = Field(description="Cameras of the machine; none unless they may be opened.")
 
 
@@ -344,9 +280,8 @@ class LiveEnded(_Sent):
     counts: LiveCountsOut
     dropped: DroppedOut
     session_id: str | None = Field(description="Session of what was kept; null without `keep`.", examples=[ID])
-    kept_frames: int = Field(
-        description="Frames that were kept: fewer than `received` if a session can't have more.", examples=[7200]
-    )
+    kept_frames: int = Field(examples=[7200])
+    """Frames that were kept: fewer than `received` if a session can't have more."""
 
 
 class LiveRecorded(_Sent):

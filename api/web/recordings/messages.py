@@ -7,7 +7,7 @@ from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
 
 from api.web.contract.asyncapi import SocketChannel, describe_sockets
 from api.web.contract.examples import ID
-from api.web.contract.schemas import ResponseModel, printable_name
+from api.web.contract.schemas import RequestModel, ResponseModel, printable_name
 from api.web.http.websockets import SocketProblemOut
 from api.web.recordings.schemas import PhoneName, RecordingOut, ServerTime, TakeName, VideoSettings
 from worker.store.model.phone_records import TakeState
@@ -24,8 +24,8 @@ _Std = Annotated[
 ]
 
 
-class _Received(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+class _Received(RequestModel):
+    model_config = ConfigDict(strict=True)
 
 
 class PhoneTrack(_Received):
@@ -51,22 +51,15 @@ class PhoneHello(_Received):
     """First message of a phone."""
 
     type: Literal["hello"]
-    phone_id: str = Field(
-        pattern=r"^[A-Za-z0-9_-]{20,64}$",
-        description="Secret that the phone's browser made at random and keeps; its uploads bring it too.",
-        examples=["f3c1b8f0-5a52-4d0e-9b52-7d0c1f3e9a10"],
-    )
+    phone_id: str = Field(pattern=r"^[A-Za-z0-9_-]{20,64}$", examples=["f3c1b8f0-5a52-4d0e-9b52-7d0c1f3e9a10"])
+    """Secret that the phone's browser made at random and keeps; its uploads bring it too."""
     name: PhoneName | None = Field(default=None, description="Name that the phone proposes at its first time.")
     device: _Word = Field(default="unknown", description="Short form of the browser and the device.")
-    track: PhoneTrack | None = Field(
-        default=None,
-        description="PhoneTrack of the camera; null until it is allowed.",
-        examples=[{"width": 1920, "height": 1080, "frame_rate_hz": 30.0}],
-    )
+    track: PhoneTrack | None = Field(default=None, examples=[{"width": 1920, "height": 1080, "frame_rate_hz": 30.0}])
+    """PhoneTrack of the camera; null until it is allowed."""
     capabilities: Capabilities | None = Field(default=None, description="What the camera can do; null: unknown.")
-    mime_types: tuple[_Word, ...] = Field(
-        default=(), max_length=16, description="Types of video that it records.", examples=[["video/mp4;codecs=avc1"]]
-    )
+    mime_types: tuple[_Word, ...] = Field(default=(), max_length=16, examples=[["video/mp4;codecs=avc1"]])
+    """Types of video that it records."""
 
 
 class ClientPing(_Received):
@@ -101,20 +94,17 @@ class PhoneStatus(_Received):
         description="What the phone does.", examples=["recording"]
     )
     track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera, if there is one.")
-    battery: float | None = Field(
-        default=None, ge=0.0, le=1.0, description="Charge of the battery, 0 to 1.", examples=[0.82]
-    )
+    battery: float | None = Field(default=None, ge=0.0, le=1.0, examples=[0.82])
+    """Charge of the battery, 0 to 1."""
     charging: bool | None = Field(default=None, description="Whether it charges.")
     free_bytes: _Count | None = Field(default=None, description="Bytes that the browser may still store.")
     clock: PhoneClock | None = Field(
-        default=None,
-        description="Clock; null until it is measured.",
-        examples=[{"offset_s": 1_772_357_100.25, "std_s": 0.0021, "drift_ppm": 3.1}],
+        default=None, examples=[{"offset_s": 1_772_357_100.25, "std_s": 0.0021, "drift_ppm": 3.1}]
     )
+    """Clock; null until it is measured."""
     dropped_frames: _Count = Field(default=0, description="Frames of the take that were dropped so far.")
-    pending_bytes: _Count = Field(
-        default=0, description="Bytes of clips that are not uploaded yet.", examples=[7_340_032]
-    )
+    pending_bytes: _Count = Field(default=0, examples=[7_340_032])
+    """Bytes of clips that are not uploaded yet."""
     sending: PhoneSending | None = Field(default=None, description="Upload that it sends; null: none.")
     error: _Word | None = Field(default=None, description="What is wrong, for the host.")
 
@@ -180,9 +170,8 @@ class HostStart(_Received):
     """Start of a take on all phones."""
 
     type: Literal["start"]
-    name: TakeName | None = Field(
-        default=None, description="Name of the take; null: `Take` and its number.", examples=["Handshake"]
-    )
+    name: TakeName | None = Field(default=None, examples=["Handshake"])
+    """Name of the take; null: `Take` and its number."""
     settings: VideoSettings | None = Field(default=None, description="Size and rate; null: what phones can.")
 
 
@@ -253,10 +242,8 @@ class PhoneWelcome(ResponseModel):
     expires_at: AwareDatetime
     server_s: ServerTime
     takes: tuple[OfferedTake, ...]
-    limits: dict[str, float] = Field(
-        description="Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `messages_per_s`, `idle_s`.",
-        examples=[{"message_bytes": 16_384, "messages_per_s": 50.0, "idle_s": 30.0}],
-    )
+    limits: dict[str, float] = Field(examples=[{"message_bytes": 16_384, "messages_per_s": 50.0, "idle_s": 30.0}])
+    """Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `messages_per_s`, `idle_s`."""
     request_id: str = Field(examples=[ID])
 
 
@@ -304,10 +291,9 @@ class EndedOut(ResponseModel):
     """The recording has ended, or the phone was removed; the connection is closed."""
 
     type: Literal["ended"] = "ended"
-    reason: Literal["recording", "removed", "replaced"] = Field(
-        description="`recording`: it was deleted or its time is over; `removed`: the host removed the phone; "
-        "`replaced`: the same phone has connected again."
-    )
+    reason: Literal["recording", "removed", "replaced"]
+    """`recording`: it was deleted or its time is over; `removed`: the host removed the phone; `replaced`: the same
+    phone has connected again."""
 
 
 class LivePhoneOut(ResponseModel):
@@ -316,24 +302,21 @@ class LivePhoneOut(ResponseModel):
     number: int
     is_connected: bool = Field(examples=[True])
     status: dict[str, Any] | None = Field(description="Last message `status` of the phone; null: none yet.")
-    hello: dict[str, Any] | None = Field(
-        description="`track`, `capabilities` and `mime_types` of the phone's message `hello`; null: unknown."
-    )
+    hello: dict[str, Any] | None
+    """`track`, `capabilities` and `mime_types` of the phone's message `hello`; null: unknown."""
 
 
 class HostState(ResponseModel):
     """All that hosts see, at each change; at most four times a second."""
 
     type: Literal["state"] = "state"
-    recording: RecordingOut | None = Field(
-        description="The recording with its phones and takes; null: as in the state before. A take that is not "
-        "stopped changes its state at `stop_s`."
-    )
+    recording: RecordingOut | None
+    """The recording with its phones and takes; null: as in the state before. A take that is not stopped changes its
+    state at `stop_s`."""
     live: tuple[LivePhoneOut, ...] = Field(description="Phones at the moment, in the order of their numbers.")
-    relay: Literal["ok", "away"] = Field(
-        description="`away`: the broker does not answer, and phones at other API processes are seen late or not at "
-        "all; recording continues."
-    )
+    relay: Literal["ok", "away"]
+    """`away`: the broker does not answer, and phones at other API processes are seen late or not at all; recording
+    continues."""
     server_s: ServerTime
     request_id: str = Field(examples=[ID])
 

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Self
 from uuid import UUID
 
-from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, AwareDatetime, Field
 from pydantic_core import PydanticCustomError
 
 from api.web.calibrations.schemas import BOARD_PATTERN
 from api.web.contract.examples import ID
-from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, printable_name
+from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.core.problems.request_codes import WRONG_FORMAT
@@ -50,66 +50,45 @@ ServerTime = Annotated[
 ]
 
 
-class RecordingSpec(BaseModel):
+class RecordingSpec(RequestModel):
     """Recording to be opened. Unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Annotated[str, AfterValidator(printable_name)] = Field(
         default="Recording", min_length=1, max_length=200, description="Name for people.", examples=["Rehearsal"]
     )
-    expires_in_s: float | None = Field(
-        default=None,
-        ge=60.0,
-        allow_inf_nan=False,
-        description="Seconds until the recording ends, with its link and with uploads that no session took; by default "
-        "a day, or the service's limit.",
-    )
+    expires_in_s: float | None = Field(default=None, ge=60.0, allow_inf_nan=False)
+    """Seconds until the recording ends, with its link and with uploads that no session took; by default a day, or the
+    service's limit."""
 
 
-class VideoSettings(BaseModel):
+class VideoSettings(RequestModel):
     """Size and rate of the video that phones are asked for. Unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     width: int = Field(ge=16, le=16_384, description="Width in pixels.")
     height: int = Field(ge=16, le=16_384, description="Height in pixels.")
     frame_rate_hz: float = Field(ge=1.0, le=1000.0, allow_inf_nan=False, description="Frames a second.")
 
 
-class TakeSessionSpec(BaseModel):
+class TakeSessionSpec(RequestModel):
     """Session to be made from a take. Unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     calibration_id: UUID = Field(description="Calibration whose cameras have the names of the phones.")
     name: TakeName | None = Field(default=None, description="Name of the session; by default the name of the take.")
-    job: JobSpec | None = Field(
-        default=None,
-        description="Choices of a job that reconstructs the session at once; null: none. Without `sync`, it measures "
-        "the clocks within their uncertainty (`auto`).",
-        examples=[{}],
-    )
+    job: JobSpec | None = Field(default=None, examples=[{}])
+    """Choices of a job that reconstructs the session at once; null: none. Without `sync`, it measures the clocks within
+    their uncertainty (`auto`)."""
 
 
-class TakeCalibrationSpec(BaseModel):
+class TakeCalibrationSpec(RequestModel):
     """Calibration to be made from a take. Unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: TakeName | None = Field(default=None, description="Name of the calibration; by default the name of the take.")
     stature_m: tuple[Annotated[float, Field(ge=MIN_STATURE_M, le=MAX_STATURE_M)], ...] = Field(
-        default=(),
-        max_length=MAX_STATURES,
-        description="Statures in metres of the people who walk about; or `board`.",
-        examples=[[1.78]],
+        default=(), max_length=MAX_STATURES, examples=[[1.78]]
     )
-    board: str | None = Field(
-        default=None,
-        max_length=100,
-        pattern=BOARD_PATTERN,
-        description="Board that is shown, as in calibrations; or `stature_m`.",
-    )
+    """Statures in metres of the people who walk about; or `board`."""
+    board: str | None = Field(default=None, max_length=100, pattern=BOARD_PATTERN)
+    """Board that is shown, as in calibrations; or `stature_m`."""
 
     def spec(self, cameras: tuple[Mapping[str, Any], ...], name: str) -> dict[str, Any]:
         """Choices of the calibration as ``CalibrationSpec`` has them."""
@@ -142,10 +121,8 @@ class ClipFileOut(ResponseModel):
     first_frame_s: ServerTime = Field(description="Time of the first frame by the service's clock.")
     std_s: float = Field(description="Standard deviation of that time.", examples=[0.0031])
     duration_s: float = Field(description="Duration of the video as the phone measured it.", examples=[31.2])
-    facts: dict[str, Any] = Field(
-        description="What else the phone says of it: the fields of its message `file`.",
-        examples=[{"num_frames": 936, "dropped_frames": 0}],
-    )
+    facts: dict[str, Any] = Field(examples=[{"num_frames": 936, "dropped_frames": 0}])
+    """What else the phone says of it: the fields of its message `file`."""
 
 
 class ClipOut(ResponseModel):
@@ -155,10 +132,8 @@ class ClipOut(ResponseModel):
     started: dict[str, Any] | None = Field(description="Message `started` of the phone; null: it sent none.")
     stopped: dict[str, Any] | None = Field(description="Message `stopped` of the phone; null: it sent none.")
     files: tuple[ClipFileOut, ...] = Field(description="Parts that were uploaded, in order.")
-    used_part: int | None = Field(
-        description="Part that a session takes: the longest one, because its videos have no gaps. Null until one is "
-        "uploaded."
-    )
+    used_part: int | None
+    """Part that a session takes: the longest one, because its videos have no gaps. Null until one is uploaded."""
 
     @classmethod
     def from_clip(cls, clip: phone_records.TakeClip) -> Self:
@@ -171,11 +146,9 @@ class TakeOut(ResponseModel):
 
     number: int = Field(description="Number of the take, from 1.")
     name: str = Field(description="Name of the take.", examples=["Take 1"])
-    state: phone_records.TakeState = Field(
-        description="`recording`; `recorded`: the clips are on the phones or on their way; `used`: a session or a "
-        "calibration was made from it; `discarded`.",
-        examples=["recorded"],
-    )
+    state: phone_records.TakeState = Field(examples=["recorded"])
+    """`recording`; `recorded`: the clips are on the phones or on their way; `used`: a session or a calibration was made
+    from it; `discarded`."""
     start_s: ServerTime = Field(description="Time at which phones start, by the service's clock.")
     stop_s: ServerTime = Field(
         description="Time at which they stop; until the host stops them, the latest one.", examples=[1_772_357_431.0]
@@ -214,16 +187,12 @@ class RecordingOut(ResponseModel):
 class JoinOut(ResponseModel):
     """Link by which phones join, shown once."""
 
-    url: str = Field(
-        description="Address for phones. The secret is behind the hash, which browsers do not send.",
-        examples=[f"https://192.168.1.20:8443/record#join={ID}.mcl_..."],
-    )
-    secret: str = Field(
-        description="Secret of the link, `mcl_...`, for `Authorization` and subprotocols.", examples=["mcl_..."]
-    )
-    qr_svg: str = Field(
-        description="Address as a QR code, an SVG.", examples=['<svg xmlns="http://www.w3.org/2000/svg" ...></svg>']
-    )
+    url: str = Field(examples=[f"https://192.168.1.20:8443/record#join={ID}.mcl_..."])
+    """Address for phones. The secret is behind the hash, which browsers do not send."""
+    secret: str = Field(examples=["mcl_..."])
+    """Secret of the link, `mcl_...`, for `Authorization` and subprotocols."""
+    qr_svg: str = Field(examples=['<svg xmlns="http://www.w3.org/2000/svg" ...></svg>'])
+    """Address as a QR code, an SVG."""
     expires_at: AwareDatetime = Field(description="Time at which the link ends; another link ends it before.")
 
 
@@ -245,10 +214,7 @@ class TakeSessionOut(ResponseModel):
 
     session_id: Id
     job_id: Id | None = Field(description="Job that reconstructs it; null without `job`.")
-    cameras: dict[str, float] = Field(
-        description="Declared offset of each camera's first frame from the start of the take, in seconds.",
-        examples=[{"Phone 1": 0.0124, "Phone 2": 0.0311}],
-    )
-    warnings: tuple[FindingOut, ...] = Field(
-        description="Warnings about phones without a clip, and about parts that are not in the session."
-    )
+    cameras: dict[str, float] = Field(examples=[{"Phone 1": 0.0124, "Phone 2": 0.0311}])
+    """Declared offset of each camera's first frame from the start of the take, in seconds."""
+    warnings: tuple[FindingOut, ...]
+    """Warnings about phones without a clip, and about parts that are not in the session."""

@@ -5,10 +5,10 @@ from typing import Any, Literal, Self
 from urllib.parse import quote
 from uuid import UUID
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, Field
 
 from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut
+from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, SpaceOut
 from api.web.errors import ErrorItem
 from api.web.http.bodies import form_kinds
 from api.web.sessions.manifest import Manifest, SessionName
@@ -26,32 +26,21 @@ from worker.store.spec import JobSpec
 class UploadedSession(form_kinds.UploadedFootage):
     """Session of uploaded files, each given by the id of its upload. Unknown fields are refused."""
 
-    keypoints: tuple[UUID, ...] = Field(
-        default=(),
-        description="Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as "
-        "the camera or stated in `cameras` of the manifest; or FreeMoCap's array of all cameras.",
-    )
-    points: tuple[UUID, ...] = Field(
-        default=(), description="Uploads of 3D points of people at one time, in place of all other files."
-    )
+    keypoints: tuple[UUID, ...] = ()
+    """Uploads of keypoints in place of videos: for each camera a zip of its keypoint files, named as the camera or
+    stated in `cameras` of the manifest; or FreeMoCap's array of all cameras."""
+    points: tuple[UUID, ...] = ()
+    """Uploads of 3D points of people at one time, in place of all other files."""
     calibration: UUID | None = Field(default=None, description="Upload of the calibration of all cameras.")
-    calibration_id: UUID | None = Field(
-        default=None, description="Id of a stored calibration, in place of `calibration`.", examples=[ID]
-    )
-    timestamps: UUID | None = Field(
-        default=None,
-        description="Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s.",
-    )
-    laboratory: UUID | None = Field(
-        default=None,
-        description="Upload of a laboratory's C3D file beside videos or keypoints: force plates, channels, events.",
-    )
-    session_id: UUID | None = Field(
-        default=None,
-        description="Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as "
-        "the session of a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset "
-        "are copied, too.",
-    )
+    calibration_id: UUID | None = Field(default=None, examples=[ID])
+    """Id of a stored calibration, in place of `calibration`."""
+    timestamps: UUID | None = None
+    """Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s."""
+    laboratory: UUID | None = None
+    """Upload of a laboratory's C3D file beside videos or keypoints: force plates, channels, events."""
+    session_id: UUID | None = None
+    """Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as the session of
+    a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset are copied, too."""
     manifest: Manifest = Field(default=Manifest(), examples=[{"name": "Handshake, take 3"}])
 
     def uploads(self) -> list[tuple[str, UUID | str]]:
@@ -79,15 +68,12 @@ class FileOut(ResponseModel):
     """File of a session."""
 
     name: str = Field(description="Name of the file.", examples=["cam_0.mp4"])
-    kind: str = Field(
-        description="Kind of the file: `video`, `keypoints`, `points`, `calibration`, `timestamps` or `laboratory`.",
-        examples=["video"],
-    )
+    kind: str = Field(examples=["video"])
+    """Kind of the file: `video`, `keypoints`, `points`, `calibration`, `timestamps` or `laboratory`."""
     num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.", examples=[SHA256])
-    is_deleted: bool = Field(
-        default=False, description="Whether the file was deleted, and is known by its SHA-256 alone."
-    )
+    is_deleted: bool = False
+    """Whether the file was deleted, and is known by its SHA-256 alone."""
 
 
 class ThumbnailOut(ResponseModel):
@@ -105,27 +91,21 @@ class CameraOut(ResponseModel):
 
     name: str = Field(description="Name of the camera in the calibration.", examples=["cam_0"])
     file: str = Field(description="Name of the file with the camera's video or keypoints.", examples=["cam_0.mp4"])
-    more_files: tuple[str, ...] = Field(
-        default=(), description="Names of further files in which the camera's recording goes on, in order."
-    )
+    more_files: tuple[str, ...] = ()
+    """Names of further files in which the camera's recording goes on, in order."""
     size_px: tuple[int, int] = Field(description="Width and height of the frames.", examples=[[1280, 720]])
     frame_rate_hz: float = Field(description="Frame rate of the video or the keypoints.", examples=[25.0])
     num_frames: int = Field(description="Number of frames in the file.", examples=[300])
     start_time_s: float = Field(description="Time of the camera's first frame on the session's clock.", examples=[0.0])
     plays_in_browsers: bool = Field(description="Whether browsers play the video that was sent.", examples=[True])
-    video_url: str | None = Field(
-        description="Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy "
-        "is made, and for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made.",
-        examples=[f"/v1/sessions/{ID}/videos/cam_0"],
-    )
-    media_start_s: float = Field(
-        description="Time of the first frame on the clock of the video at `video_url`.", examples=[0.0]
-    )
-    thumbnails: tuple[ThumbnailOut, ...] = Field(
-        default=(),
-        description="Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has "
-        "their places in this list. None for keypoints, and if `shows_blurred`.",
-    )
+    video_url: str | None = Field(examples=[f"/v1/sessions/{ID}/videos/cam_0"])
+    """Path of a video that browsers play: the one that was sent, or a proxy of it. Null until the proxy is made, and
+    for keypoints. If `shows_blurred`, a copy with blurred heads; null until it is made."""
+    media_start_s: float = Field(examples=[0.0])
+    """Time of the first frame on the clock of the video at `video_url`."""
+    thumbnails: tuple[ThumbnailOut, ...] = ()
+    """Pictures at which the check looked, ascending in time; `pictures` of a finding's evidence has their places in
+    this list. None for keypoints, and if `shows_blurred`."""
 
     @classmethod
     def from_capture(cls, capture: Capture, number: int) -> Self:
@@ -163,10 +143,9 @@ class LayoutOut(ResponseModel):
     """Layout in which points without names were read."""
 
     name: str = Field(description="Name of the layout, as `layout` of the manifest states it.")
-    told_by: Literal["choice", "number", "pictures", "world", "points"] = Field(
-        description="How the layout was told: stated by the manifest; by the number of points; by lengths of people in "
-        "the pictures or in the world; or the detected points are the same in all layouts."
-    )
+    told_by: Literal["choice", "number", "pictures", "world", "points"]
+    """How the layout was told: stated by the manifest; by the number of points; by lengths of people in the pictures or
+    in the world; or the detected points are the same in all layouts."""
     num_people: int = Field(description="Detections of people whose lengths told it; 0 otherwise.")
 
 
@@ -176,9 +155,8 @@ class PreflightOut(ResponseModel):
     cameras: tuple[CameraOut, ...] = Field(description="Cameras of the session.")
     timebase: TimebaseOut = Field(description="Clock of the output frames.")
     findings: tuple[FindingOut, ...] = Field(description="Findings of the check.")
-    layout: LayoutOut | None = Field(
-        default=None, description="Layout of keypoints whose files do not name their points; null for others."
-    )
+    layout: LayoutOut | None = None
+    """Layout of keypoints whose files do not name their points; null for others."""
 
     @classmethod
     def from_capture(cls, capture: Capture) -> Self:
@@ -202,10 +180,8 @@ class NewestJobOut(ResponseModel):
     state: JobState = Field(description="State of the job.")
 
 
-class SessionChanges(BaseModel):
+class SessionChanges(RequestModel):
     """Changes of a session. Unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: SessionName
 
@@ -216,49 +192,36 @@ class SessionOut(ResponseModel):
     id: Id
     name: str = Field(description="Name of the session for people.", examples=["Handshake, take 3"])
     created_at: AwareDatetime = Field(description="Time of the creation.")
-    state: SessionState = Field(
-        description="`fetching` while the service fetches videos from URLs and checks them: `files` and `preflight` "
-        "are empty, and jobs wait; `failed` if they can't be used.",
-        examples=["ready"],
-    )
-    fetches: tuple[UploadState, ...] = Field(
-        default=(), description="Uploads that the session waits for; `received_bytes` are some seconds old."
-    )
-    errors: tuple[ErrorItem, ...] = Field(
-        default=(), description="Everything that is wrong with a session that failed. Delete it, and send it again."
-    )
+    state: SessionState = Field(examples=["ready"])
+    """`fetching` while the service fetches videos from URLs and checks them: `files` and `preflight` are empty, and
+    jobs wait; `failed` if they can't be used."""
+    fetches: tuple[UploadState, ...] = ()
+    """Uploads that the session waits for; `received_bytes` are some seconds old."""
+    errors: tuple[ErrorItem, ...] = ()
+    """Everything that is wrong with a session that failed. Delete it, and send it again."""
     files: tuple[FileOut, ...] = Field(description="Files of the session.")
     num_bytes: int = Field(description="Size of all files that are not deleted.", examples=[5_242_880])
-    videos_deleted_at: AwareDatetime | None = Field(
-        default=None,
-        description="Time at which the session's videos were deleted, with their thumbnails and proxies; null: they "
-        "are there, or it has keypoints.",
-    )
+    videos_deleted_at: AwareDatetime | None = None
+    """Time at which the session's videos were deleted, with their thumbnails and proxies; null: they are there, or it
+    has keypoints."""
     duration_s: float = Field(description="Duration: output frames divided by the frame rate.", examples=[12.0])
     num_jobs: int = Field(description="Number of the session's reconstructions.")
     newest_job: NewestJobOut | None = Field(description="Reconstruction that was queued last; null without any.")
-    proxies_job: NewestJobOut | None = Field(
-        description="Job that makes small copies of the videos that browsers can't play; null if none had to."
-    )
-    shows_blurred: bool = Field(
-        default=False,
-        description="Whether a job of the session has `blur_faces`: videos are shown with blurred heads alone, and "
-        "thumbnails not at all. False until the first such job ends, if an earlier job has shown the videos.",
-    )
+    proxies_job: NewestJobOut | None
+    """Job that makes small copies of the videos that browsers can't play; null if none had to."""
+    shows_blurred: bool = False
+    """Whether a job of the session has `blur_faces`: videos are shown with blurred heads alone, and thumbnails not at
+    all. False until the first such job ends, if an earlier job has shown the videos."""
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
-    timeline: Literal["take", "person"] = Field(
-        description="Frames of the files of jobs whose spec does not state `timeline`."
-    )
-    space: SpaceOut | None = Field(
-        default=None,
-        description="Space that a reconstruction of the session with the default choices is foreseen to need; null of "
-        "a session that was sent for a calibration, and until its files are there.",
-    )
+    timeline: Literal["take", "person"]
+    """Frames of the files of jobs whose spec does not state `timeline`."""
+    space: SpaceOut | None = None
+    """Space that a reconstruction of the session with the default choices is foreseen to need; null of a session that
+    was sent for a calibration, and until its files are there."""
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.", examples=[{"scene": 12}])
-    notes: dict[str, str] = Field(
-        description="What is known of warnings, by code: of the sample capture; empty for others.", examples=[{}]
-    )
+    notes: dict[str, str] = Field(examples=[{}])
+    """What is known of warnings, by code: of the sample capture; empty for others."""
     urls: SessionUrls
 
     @classmethod

@@ -2,24 +2,19 @@
 
 from typing import Literal, Self
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import AwareDatetime, Field
 
-from api.web.contract.schemas import Id, ResponseModel, SourceUrl
+from api.web.contract.schemas import Id, RequestModel, ResponseModel, SourceUrl
 from pipeline.core.problems.code_group import Code
 from worker.store.model.session_records import Upload
 
 
-class UploadSource(BaseModel):
+class UploadSource(RequestModel):
     """File that the service fetches. Unknown fields are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     url: SourceUrl
-    filename: str | None = Field(
-        default=None,
-        description="Name of the file, by which its camera is found; by default the last part of the URL's path.",
-        examples=["cam01.mp4"],
-    )
+    filename: str | None = Field(default=None, examples=["cam01.mp4"])
+    """Name of the file, by which its camera is found; by default the last part of the URL's path."""
 
 
 class UploadError(ResponseModel):
@@ -35,13 +30,11 @@ class UploadState(ResponseModel):
 
     id: Id
     filename: str = Field(description="Name of the file.", examples=["cam01.mp4"])
-    state: Literal["receiving", "fetching", "finished", "failed"] = Field(
-        description="`receiving`: the client sends the file; `fetching`: the service fetches it."
-    )
+    state: Literal["receiving", "fetching", "finished", "failed"]
+    """`receiving`: the client sends the file; `fetching`: the service fetches it."""
     received_bytes: int = Field(description="Bytes that are stored.", examples=[1_000_000])
-    num_bytes: int | None = Field(
-        description="Bytes of the whole file; null until the source has answered.", examples=[5_242_880]
-    )
+    num_bytes: int | None = Field(examples=[5_242_880])
+    """Bytes of the whole file; null until the source has answered."""
     error: UploadError | None = Field(description="Error that ended the fetch; null if it did not fail.")
     expires_at: AwareDatetime = Field(description="Time at which the upload is removed unless more bytes arrive.")
 

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from uuid import UUID
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from api.web.contract.examples import UPLOAD_IDS
-from api.web.contract.schemas import SourceUrl
+from api.web.contract.schemas import RequestModel, SourceUrl
 from pipeline.core.problems.code_group import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
@@ -29,10 +29,8 @@ SESSION_ID = "session_id"
 """Field that names a stored session whose footage is used in place of files."""
 
 
-class UploadedFiles(BaseModel):
+class UploadedFiles(RequestModel):
     """Files that are sent as uploads, each given by the id of its upload. Unknown fields are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     def uploads(self) -> list[tuple[str, UUID | str]]:
         """Part of the form and id of each upload, or the URL that its file is fetched from."""
@@ -54,13 +52,10 @@ class UploadedFiles(BaseModel):
 class UploadedFootage(UploadedFiles):
     """Files of cameras that are sent as uploads. Unknown fields are refused."""
 
-    videos: tuple[UUID | SourceUrl, ...] = Field(
-        default=(),
-        description="Uploads of the videos, one for each camera, or of a zip of its images. Or URLs of such files, "
-        "whose names are the last parts of the paths: the service fetches them, and checks the files when all are "
-        "there. Jobs of the session wait for them.",
-        examples=[UPLOAD_IDS],
-    )
+    videos: tuple[UUID | SourceUrl, ...] = Field(default=(), examples=[UPLOAD_IDS])
+    """Uploads of the videos, one for each camera, or of a zip of its images. Or URLs of such files, whose names are the
+    last parts of the paths: the service fetches them, and checks the files when all are there. Jobs of the session wait
+    for them."""
 
     def uploads(self) -> list[tuple[str, UUID | str]]:
         """Part of the form and id or URL of each upload."""
