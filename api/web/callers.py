@@ -83,12 +83,7 @@ def get_caller(caller: AnyCallerDep, services: ServicesDep) -> CallerOut:
         **problems(400, 401, 413, 415, 422, 429, 507),
     },
 )
-def open_browser_session(
-    shown: BrowserSession,
-    request: Request,
-    response: Response,
-    services: ServicesDep,
-) -> None:
+def open_browser_session(shown: BrowserSession, request: Request, response: Response, services: ServicesDep) -> None:
     """Sign a browser in with a key, for 12 hours.
 
     Pages need a cookie, because they can't add a key to the requests of event streams and downloads.
@@ -103,10 +98,7 @@ def open_browser_session(
 
 
 @router.delete(
-    "/browser-session",
-    summary="Sign a browser out",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(507),
+    "/browser-session", summary="Sign a browser out", status_code=status.HTTP_204_NO_CONTENT, responses=problems(507)
 )
 def close_browser_session(request: Request, response: Response, services: ServicesDep) -> None:
     """Sign this browser out, and delete its session."""

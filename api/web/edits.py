@@ -188,11 +188,7 @@ def get_session_edits(
     responses={200: {"headers": ETAG}, **problems(400, 404, 409, 412, 413, 415, 422, 429, 507)},
 )
 def edit_session(
-    session_id: SessionId,
-    new: NewEdits,
-    services: ServicesDep,
-    records: RecordsDep,
-    if_match: IfMatch = None,
+    session_id: SessionId, new: NewEdits, services: ServicesDep, records: RecordsDep, if_match: IfMatch = None
 ) -> Response:
     """Replace the edits of a session's people. Later jobs of the session apply them.
 

@@ -83,12 +83,7 @@ _DAY_S = 86_400.0
     status_code=status.HTTP_201_CREATED,
     responses=problems(400, 404, 409, 413, 415, 422, 507),
 )
-def create_link(
-    job_id: JobId,
-    spec: LinkSpec,
-    services: ServicesDep,
-    records: RecordsDep,
-) -> NewLinkOut:
+def create_link(job_id: JobId, spec: LinkSpec, services: ServicesDep, records: RecordsDep) -> NewLinkOut:
     """Make a link to a job, or to something of it, for browsers' requests without headers and for people without a key.
 
     It ends by itself, with the job, and with the key that made it. The address is shown once and not stored, so there
@@ -116,10 +111,7 @@ def list_links(job_id: JobId, records: RecordsDep) -> LinkList:
 
 
 @router.delete(
-    "/links/{link_id}",
-    summary="Revoke a link",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(404),
+    "/links/{link_id}", summary="Revoke a link", status_code=status.HTTP_204_NO_CONTENT, responses=problems(404)
 )
 def revoke_link(
     link_id: Annotated[str, Path(description="Id of a link.", json_schema_extra={"format": "uuid"})],

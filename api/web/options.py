@@ -183,9 +183,7 @@ def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch
         ),
         detectors=tuple(
             DetectorOut(
-                name=name,
-                installed=None if installed is None else name in installed,
-                install=install_command(name),
+                name=name, installed=None if installed is None else name in installed, install=install_command(name)
             )
             for name in config.NETWORKS
         ),

@@ -83,10 +83,7 @@ add_creation(
     "createCalibration",
     Creation(intake.CALIBRATION_FORM, intake.check_calibration, _add),
     (
-        Texts(
-            "Send or make a calibration",
-            _CREATE,
-        ),
+        Texts("Send or make a calibration", _CREATE),
         Texts(
             "Send or make a calibration from files",
             "Send or make a calibration by a form with files; otherwise as `createCalibration`.",
@@ -225,10 +222,7 @@ async def _on_request(
     responses={200: {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
 )
 def rename_calibration(
-    calibration_id: CalibrationId,
-    changes: CalibrationChanges,
-    records: RecordsDep,
-    if_match: IfMatch = None,
+    calibration_id: CalibrationId, changes: CalibrationChanges, records: RecordsDep, if_match: IfMatch = None
 ) -> Response:
     """Rename a calibration. With `If-Match`, only an unchanged one."""
     with records.transaction() as work:

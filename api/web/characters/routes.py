@@ -28,10 +28,7 @@ _FILE = file_content(intake.MEDIA_TYPES)
 
 def _add(services: Services, idempotent: IdempotentRequest, checked: intake.CheckedCharacter) -> Answer:
     facts, bones = intake.stored_facts(checked.contents), intake.stored_bones(checked.contents)
-    with (
-        intake.stored_character(services, checked) as (character_id, file),
-        idempotent.records.transaction() as work,
-    ):
+    with intake.stored_character(services, checked) as (character_id, file), idempotent.records.transaction() as work:
         work.uploads.use(checked.upload_ids)
         character = work.characters.add(character_id, checked.name, file, facts, bones, checked.spec.bones)
         headers = {"Location": f"/v1/characters/{character.id}"}
@@ -62,10 +59,7 @@ add_creation(
     ),
     status_code=status.HTTP_201_CREATED,
     response_model=CharacterOut,
-    responses={
-        201: {"headers": {"Location": location("character")}},
-        **problems(400, 408, 409, 413, 415, 422, 507),
-    },
+    responses={201: {"headers": {"Location": location("character")}}, **problems(400, 408, 409, 413, 415, 422, 507)},
 )
 
 
@@ -94,17 +88,10 @@ def get_character(character_id: CharacterId, records: RecordsDep, if_none_match:
     "/{character_id}/file",
     summary="Download a character",
     response_class=Response,
-    responses={
-        **file_responses(_FILE, redirect=f"characters/{ID}/file"),
-        **problems(404, 410, 416),
-    },
+    responses={**file_responses(_FILE, redirect=f"characters/{ID}/file"), **problems(404, 410, 416)},
 )
 def get_character_file(
-    character_id: CharacterId,
-    request: Request,
-    services: ServicesDep,
-    records: RecordsDep,
-    conditions: ConditionsDep,
+    character_id: CharacterId, request: Request, services: ServicesDep, records: RecordsDep, conditions: ConditionsDep
 ) -> Response:
     """Download the file of a character as it was sent, or a range of it."""
     return send_file(request, services, intake.character_download(records.characters.get(character_id)), conditions)
@@ -163,10 +150,7 @@ def _change(
 
 
 @router.delete(
-    "/{character_id}",
-    summary="Delete a character",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(404),
+    "/{character_id}", summary="Delete a character", status_code=status.HTTP_204_NO_CONTENT, responses=problems(404)
 )
 def delete_character(character_id: CharacterId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a character and its file."""

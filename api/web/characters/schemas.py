@@ -18,8 +18,7 @@ _METHODS = (
 _Name = Annotated[str, AfterValidator(printable_name), Field(min_length=1, max_length=200)]
 Corrections = Annotated[
     dict[
-        Annotated[str, Field(min_length=1, max_length=50)],
-        Annotated[str, Field(min_length=1, max_length=250)] | None,
+        Annotated[str, Field(min_length=1, max_length=50)], Annotated[str, Field(min_length=1, max_length=250)] | None
     ],
     Field(max_length=100),
 ]

@@ -48,12 +48,7 @@ def describe_sockets(title: str, description: str, channels: Sequence[SocketChan
     used = {name for channel in channels for name in channel.security}
     return {
         "asyncapi": "3.0.0",
-        "info": {
-            "title": title,
-            "version": "1",
-            "description": description,
-            "license": {"name": "Apache License 2.0"},
-        },
+        "info": {"title": title, "version": "1", "description": description, "license": {"name": "Apache License 2.0"}},
         "channels": {channel.name: _channel(channel) for channel in channels},
         "operations": {name: operation for channel in channels for name, operation in _operations(channel).items()},
         "components": {

@@ -139,10 +139,7 @@ IdempotencyKey = Annotated[
 
 
 def _idempotent_request(
-    request: Request,
-    services: ServicesDep,
-    records: RecordsDep,
-    idempotency_key: IdempotencyKey = None,
+    request: Request, services: ServicesDep, records: RecordsDep, idempotency_key: IdempotencyKey = None
 ) -> IdempotentRequest:
     if idempotency_key is not None and not (idempotency_key.isascii() and idempotency_key.isprintable()):
         raise ApiError(HEADER_INVALID, "Idempotency-Key must be printable ASCII.")

@@ -58,8 +58,7 @@ class SocketProblemOut(ResponseModel):
 
     type: Literal["problem"] = "problem"
     code: Code = Field(
-        description="Stable name of the problem; `/help/problems` lists all codes.",
-        examples=["internal_error"],
+        description="Stable name of the problem; `/help/problems` lists all codes.", examples=["internal_error"]
     )
     detail: str = Field(
         description="Description of the problem, a sentence for a person.",

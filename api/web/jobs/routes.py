@@ -34,9 +34,7 @@ _ENDED = "Receive a job's end"
 _GONE: Responses = {410: {"description": "The receiver is gone; the message is not sent again."}}
 
 
-def _job_ended(
-    message: JobEnded,
-) -> None:
+def _job_ended(message: JobEnded) -> None:
     """The service sends this message to the `callback_url` of the job's spec when the job has ended.
 
     It repeats the message for a day, until the receiver answers with 2xx or 410.
@@ -65,9 +63,7 @@ router = APIRouter(prefix="/v1", tags=["jobs"])
 small = APIRouter(prefix="/v1", tags=["jobs"], route_class=SmallBodyRoute)
 
 State = Annotated[JobState | None, Query(description="Only jobs in this state.")]
-ACCEPTED: Responses = {
-    202: {"headers": {"Location": location("job"), **RETRY_AFTER}},
-}
+ACCEPTED: Responses = {202: {"headers": {"Location": location("job"), **RETRY_AFTER}}}
 
 
 @small.post(
@@ -122,9 +118,7 @@ add_creation(
     Creation(CAPTURE_FORM, check, _add_session_and_job),
     (
         Texts(
-            "Send and reconstruct a session",
-            _CREATE,
-            job_ended_callbacks("jobEndedOfSession", "/spec/callback_url"),
+            "Send and reconstruct a session", _CREATE, job_ended_callbacks("jobEndedOfSession", "/spec/callback_url")
         ),
         Texts(
             "Reconstruct a session's files",
@@ -307,10 +301,7 @@ def add_job_files(
 
 
 @small.delete(
-    "/jobs/{job_id}",
-    summary="Delete a job",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(404, 409),
+    "/jobs/{job_id}", summary="Delete a job", status_code=status.HTTP_204_NO_CONTENT, responses=problems(404, 409)
 )
 def delete_job(job_id: JobId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a finished job with its results."""

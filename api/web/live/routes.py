@@ -131,7 +131,7 @@ async def _capture(connection: LiveConnection) -> None:
                 dropped=DroppedOut(**relay.dropped._asdict()),
                 session_id=session_id,
                 kept_frames=0 if kept is None else kept.num_frames,
-            ),
+            )
         )
 
 

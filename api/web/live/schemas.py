@@ -297,13 +297,7 @@ class LiveProblemOut(SocketProblemOut):
     close_code: int = Field(description="Code with which the connection is closed.", examples=[1011])
 
 
-RECEIVED: tuple[type[BaseModel], ...] = (
-    LiveStart,
-    LiveCamerasStart,
-    LiveRecordStart,
-    LiveKeypoints,
-    LiveEnd,
-)
+RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveCamerasStart, LiveRecordStart, LiveKeypoints, LiveEnd)
 """Messages of clients."""
 SENT: tuple[type[BaseModel], ...] = (
     LiveReady,

@@ -216,11 +216,7 @@ def _take_news(take: phone_records.RecordingTake, told: _Told | None) -> list[Ba
         settings = VideoSettings(**take.settings) if take.settings else None
         return [
             messages.StartOut(
-                take=take.number,
-                name=take.name,
-                at_server_s=take.start_s,
-                latest_stop_s=take.stop_s,
-                settings=settings,
+                take=take.number, name=take.name, at_server_s=take.start_s, latest_stop_s=take.stop_s, settings=settings
             )
         ]
     news: list[BaseModel] = []

@@ -31,17 +31,10 @@ TakeNumber = Annotated[int, Path(ge=1, le=100_000, description="Number of a take
     "",
     summary="Open a recording",
     status_code=status.HTTP_201_CREATED,
-    responses={
-        201: {"headers": {"Location": location("recording")}},
-        **problems(400, 409, 413, 415, 422, 507),
-    },
+    responses={201: {"headers": {"Location": location("recording")}}, **problems(400, 409, 413, 415, 422, 507)},
 )
 def open_recording(
-    spec: schemas.RecordingSpec,
-    request: Request,
-    response: Response,
-    services: ServicesDep,
-    records: RecordsDep,
+    spec: schemas.RecordingSpec, request: Request, response: Response, services: ServicesDep, records: RecordsDep
 ) -> schemas.NewRecordingOut:
     """Open a recording: a room in which browsers of phones record takes together.
 
@@ -90,10 +83,7 @@ def renew_recording_link(
 
 
 @router.delete(
-    "/{recording_id}",
-    summary="End a recording",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(404),
+    "/{recording_id}", summary="End a recording", status_code=status.HTTP_204_NO_CONTENT, responses=problems(404)
 )
 def delete_recording(recording_id: RecordingId, services: ServicesDep, records: RecordsDep) -> None:
     """End a recording, with its link and with uploads of its phones that no session took. Sessions stay."""
@@ -138,10 +128,7 @@ async def create_take_session(
     summary="Calibrate the phones from a take",
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
-    responses={
-        202: {"headers": {"Location": location("job")}},
-        **problems(400, 404, 409, 413, 415, 421, 422, 507),
-    },
+    responses={202: {"headers": {"Location": location("job")}}, **problems(400, 404, 409, 413, 415, 421, 422, 507)},
 )
 async def create_take_calibration(
     recording_id: RecordingId,
@@ -175,12 +162,7 @@ def _new(request: Request, services: Services, recording: RecordingSession, secr
     url = f"{origin}/record#join={recording.id}.{secret}"
     svg = io.BytesIO()
     segno.make(url, error="m", micro=False).save(svg, "svg", scale=4, border=4, light="#fff", xmldecl=False, nl=False)
-    join = schemas.JoinOut(
-        url=url,
-        secret=secret,
-        qr_svg=svg.getvalue().decode(),
-        expires_at=recording.expires_at,
-    )
+    join = schemas.JoinOut(url=url, secret=secret, qr_svg=svg.getvalue().decode(), expires_at=recording.expires_at)
     return schemas.NewRecordingOut.from_recording(recording, server_s(), join=join)
 
 

@@ -50,12 +50,7 @@ class TakeVideos:
     def cameras(self) -> tuple[CameraManifest, ...]:
         """Cameras with the offsets of their first frames."""
         return tuple(
-            CameraManifest(
-                name=phone,
-                file=self.names[phone],
-                offset_s=self.offsets_s[phone],
-                offset_std_s=file.std_s,
-            )
+            CameraManifest(name=phone, file=self.names[phone], offset_s=self.offsets_s[phone], offset_std_s=file.std_s)
             for phone, file in self.files.items()
         )
 

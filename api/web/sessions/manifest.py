@@ -39,12 +39,7 @@ Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 SessionName = Annotated[
     str,
     AfterValidator(printable_name),
-    Field(
-        min_length=1,
-        max_length=200,
-        description="Name of the session for people.",
-        examples=["Handshake, take 3"],
-    ),
+    Field(min_length=1, max_length=200, description="Name of the session for people.", examples=["Handshake, take 3"]),
 ]
 
 

@@ -105,10 +105,7 @@ def get_session(
     responses={200: {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
 )
 def rename_session(
-    session_id: SessionId,
-    changes: SessionChanges,
-    records: RecordsDep,
-    if_match: IfMatch = None,
+    session_id: SessionId, changes: SessionChanges, records: RecordsDep, if_match: IfMatch = None
 ) -> Response:
     """Rename a session; its jobs and the names of their downloads follow. With `If-Match`, only an unchanged one."""
     with records.transaction() as work:
@@ -119,10 +116,7 @@ def rename_session(
 
 
 @router.delete(
-    "/{session_id}",
-    summary="Delete a session",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(404, 409),
+    "/{session_id}", summary="Delete a session", status_code=status.HTTP_204_NO_CONTENT, responses=problems(404, 409)
 )
 def delete_session(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete a session with its videos, its jobs and their results. An unfinished job has to be canceled first."""

@@ -67,10 +67,7 @@ def get_session_video(
 
 
 @router.delete(
-    "/videos",
-    summary="Delete a session's videos",
-    status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(404, 409),
+    "/videos", summary="Delete a session's videos", status_code=status.HTTP_204_NO_CONTENT, responses=problems(404, 409)
 )
 def delete_session_videos(session_id: SessionId, services: ServicesDep, records: RecordsDep) -> None:
     """Delete the videos of a session for good, with their thumbnails and proxies; results of its jobs stay.

@@ -233,12 +233,7 @@ class _Blocks:
     """Sink that stores a piece block by block; ``file`` holds what has come of a block."""
 
     def __init__(
-        self,
-        uploads: SharedUploads,
-        upload_id: str,
-        offset: int,
-        file: BinaryIO,
-        require_room: Callable[[int], None],
+        self, uploads: SharedUploads, upload_id: str, offset: int, file: BinaryIO, require_room: Callable[[int], None]
     ) -> None:
         self._uploads, self._upload_id, self._file, self._require_room = uploads, upload_id, file, require_room
         self._start = self._end = offset

@@ -171,12 +171,7 @@ def get_upload(
         **_answers(204, "Upload-Offset", "Upload-Expires"),
         **problems(400, 404, 408, 409, 412, 413, 415, 421, 423, 460, 507),
     },
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": file_content([PIECE_TYPE]),
-        }
-    },
+    openapi_extra={"requestBody": {"required": True, "content": file_content([PIECE_TYPE])}},
 )
 async def continue_upload(
     request: Request,

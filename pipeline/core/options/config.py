@@ -34,18 +34,9 @@ Method = (
     | Annotated[Literal["clustering"], Value("Clustering joints, for crowds")]
 )
 Profile = (
-    Annotated[
-        Literal["fast"],
-        Value("Fast", note="Mean joint error 28 mm (rendered people)."),
-    ]
-    | Annotated[
-        Literal["balanced"],
-        Value("Balanced", note="Mean joint error 25 mm (rendered people)."),
-    ]
-    | Annotated[
-        Literal["accurate"],
-        Value("Accurate", note="Mean joint error 24 mm (rendered people)."),
-    ]
+    Annotated[Literal["fast"], Value("Fast", note="Mean joint error 28 mm (rendered people).")]
+    | Annotated[Literal["balanced"], Value("Balanced", note="Mean joint error 25 mm (rendered people).")]
+    | Annotated[Literal["accurate"], Value("Accurate", note="Mean joint error 24 mm (rendered people).")]
 )
 DetectedJoints = (
     Annotated[Literal["auto"], Value("Default of the profile")]
@@ -57,10 +48,7 @@ Detector = (
     Annotated[Literal["auto"], Value("Networks of the profile")]
     | Annotated[Literal["movenet-multipose"], Network("MoveNet MultiPose")]
     | Annotated[Literal["movenet-multipose-int8"], Network("MoveNet MultiPose, 8 bits")]
-    | Annotated[
-        Literal["openpose-mobilenet-thin"],
-        Network("OpenPose MobileNet, for clustering", leaves_fields=True),
-    ]
+    | Annotated[Literal["openpose-mobilenet-thin"], Network("OpenPose MobileNet, for clustering", leaves_fields=True)]
     | Annotated[
         Literal["human-pose-estimation-0001"],
         Network(
@@ -160,24 +148,13 @@ class MotionChoices:
     feet: Annotated[Feet, About("Feet on the floor", "When standing feet are held still.")] = "auto"
     appearance: Annotated[
         Appearance,
-        About(
-            "Clothing colours",
-            "Use the colours of clothes to tell people apart. Only for the method `tracking`.",
-        ),
+        About("Clothing colours", "Use the colours of clothes to tell people apart. Only for the method `tracking`."),
     ] = "on"
     joint_centers: Annotated[
-        JointCenters,
-        About(
-            "Joint centres",
-            "Offsets from the detector's marks to the centres of the joints.",
-        ),
+        JointCenters, About("Joint centres", "Offsets from the detector's marks to the centres of the joints.")
     ] = "auto"
     refine_calibration: Annotated[
-        RefineCalibration,
-        About(
-            "Calibration refinement",
-            "Move the cameras to fit the people of the take.",
-        ),
+        RefineCalibration, About("Calibration refinement", "Move the cameras to fit the people of the take.")
     ] = "off"
     sync: Annotated[Sync, About("Synchronisation", "How the clocks of the cameras are aligned.")] = "declared"
 
@@ -247,20 +224,10 @@ class JobChoices(MotionChoices):
         ),
     ] = ("bvh",)
     preset: Annotated[
-        Preset,
-        About(
-            "Target application",
-            "Names, axes, unit and rest pose of BVH and FBX files.",
-            group="purpose",
-        ),
+        Preset, About("Target application", "Names, axes, unit and rest pose of BVH and FBX files.", group="purpose")
     ] = "default"
     timeline: Annotated[
-        Timeline,
-        About(
-            "Frames of the files",
-            "Frames that each person's files cover.",
-            group="purpose",
-        ),
+        Timeline, About("Frames of the files", "Frames that each person's files cover.", group="purpose")
     ] = "take"
     body: Annotated[
         Body,
@@ -286,26 +253,14 @@ class JobChoices(MotionChoices):
         ),
     ] = None
     report: Annotated[
-        bool,
-        About(
-            "Report",
-            "One file, `report.html`, with the motion in 3D, pictures and quality figures.",
-        ),
+        bool, About("Report", "One file, `report.html`, with the motion in 3D, pictures and quality figures.")
     ] = False
     overlay: Annotated[
-        bool,
-        About("Overlay videos", "A copy of each camera's video with the skeletons drawn over it."),
+        bool, About("Overlay videos", "A copy of each camera's video with the skeletons drawn over it.")
     ] = False
-    blur_faces: Annotated[
-        bool,
-        About("Blurred faces", "Blur all heads in videos, reports and links."),
-    ] = False
+    blur_faces: Annotated[bool, About("Blurred faces", "Blur all heads in videos, reports and links.")] = False
     force: Annotated[
-        bool,
-        About(
-            "Ignore errors",
-            "Reconstruct although the check found errors. The result may be wrong.",
-        ),
+        bool, About("Ignore errors", "Reconstruct although the check found errors. The result may be wrong.")
     ] = False
 
 
@@ -350,8 +305,7 @@ class ReconstructionConfig(JobChoices):
     is_remade: bool = False  # Files of people who were reconstructed before are made again
     character: str | None = None
     chunk_frames: Annotated[
-        int,
-        About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1),
+        int, About("Frames of a chunk", "Frames of a camera in one chunk; results do not depend on it.", minimum=1)
     ] = DEFAULT_CHUNK_FRAMES
     processes: Annotated[
         int, About("Processes", "Number of processes; results do not depend on it.", minimum=1, maximum=64)

@@ -234,15 +234,7 @@ CameraKind = Literal[
 """Code of a finding about a camera."""
 PersonKind = Literal["limb_mismeasured", "person_never_moves", "mirror_image", "stature_out_of_range"]
 """Code of a finding about a person."""
-ConcernKind = Literal[
-    "error",
-    "identity",
-    "sides",
-    "few_views",
-    "acceleration",
-    PersonKind,
-    CameraKind,
-]
+ConcernKind = Literal["error", "identity", "sides", "few_views", "acceleration", PersonKind, CameraKind]
 """Reason to look at a person or at a camera."""
 PERSON_KINDS: tuple[PersonKind, ...] = get_args(PersonKind)
 CAMERA_KINDS: tuple[CameraKind, ...] = get_args(CameraKind)

@@ -102,9 +102,7 @@ def _parameter_items(errors: Iterable[ErrorDetails], operation: Schema, contract
         place, name = (str(step) for step in error["loc"][:2])
         allowed = requirement(declared[place, name.lower()]["schema"], contract, null=False)
         items[place, name] = ErrorItem(
-            code=_code(error),
-            message=f"The {_NOUNS[place]} {name} must be {allowed}.",
-            pointer=pointer_to(place, name),
+            code=_code(error), message=f"The {_NOUNS[place]} {name} must be {allowed}.", pointer=pointer_to(place, name)
         )
     return list(items.values())
 
