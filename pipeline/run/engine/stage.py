@@ -356,3 +356,8 @@ class Stage:
     def people(self, task: Task) -> slice:
         """Numbers of the people of one of its tasks, if it is cut by person."""
         return slice(task.index, None, self.num_parts(task.frames))
+
+
+def declared(name: str, label: str, **options: Any) -> Callable[[Callable[[Task, Context], Output]], Stage]:
+    """Declare a function as a stage; options are the parameters of ``Stage``."""
+    return lambda function: Stage(name, label, function, **options)

@@ -14,6 +14,21 @@ if TYPE_CHECKING:
     from pipeline.core.data.heads import HeadRegions
 
 
+def _blurs_heads(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
+    """Return whether heads are blurred in the pictures of a job."""
+    return config.is_of_people and config.blur_faces and facts.has_videos
+
+
+@stage.declared(
+    stage.HEADS,
+    "Finding heads",
+    cut="whole",
+    # It reads the detections too, whose keys are part of the people's keys. Colours are not read, so that detection
+    # need not run again for them.
+    follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD),
+    choices=("blur_faces",),
+    is_planned=_blurs_heads,
+)
 def find_heads(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find the heads of everybody who was located or detected, in every camera."""
     from pipeline.core.data.detections import Detections, PafFields
@@ -42,6 +57,18 @@ def find_heads(task: stage.Task, context: stage.Context) -> stage.Output:
     return stage.Output(encode(tuple(regions)))
 
 
+@stage.declared(
+    stage.BLUR,
+    "Blurring videos",
+    cut="cameras",
+    follows=(stage.SYNCHRONIZE, stage.HEADS),
+    choices=("blurs_videos", "frame_range"),
+    is_planned=lambda facts, config: config.blurs_videos and _blurs_heads(facts, config),
+    unit="frames",
+    is_reusable=False,
+    reads_videos=True,
+    makes_files=True,
+)
 def blur_videos(task: stage.Task, context: stage.Context) -> stage.Output:
     """Make the blurred video of a camera."""
     from pipeline.core.errors import PipelineError
@@ -70,34 +97,3 @@ def head_regions_in(context: stage.Context, camera: str) -> "HeadRegions | None"
         return None
     regions = output_record(context, stage.HEADS, tuple[HeadRegions, ...])
     return next(known for known in regions if known.camera == camera)
-
-
-def _blurs_heads(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """Return whether heads are blurred in the pictures of a job."""
-    return config.is_of_people and config.blur_faces and facts.has_videos
-
-
-HEADS_STAGE = stage.Stage(
-    stage.HEADS,
-    "Finding heads",
-    find_heads,
-    cut="whole",
-    # It reads the detections too, whose keys are part of the people's keys. Colours are not read, so that detection
-    # need not run again for them.
-    follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD),
-    choices=("blur_faces",),
-    is_planned=_blurs_heads,
-)
-BLUR_STAGE = stage.Stage(
-    stage.BLUR,
-    "Blurring videos",
-    blur_videos,
-    cut="cameras",
-    follows=(stage.SYNCHRONIZE, stage.HEADS),
-    choices=("blurs_videos", "frame_range"),
-    is_planned=lambda facts, config: config.blurs_videos and _blurs_heads(facts, config),
-    unit="frames",
-    is_reusable=False,
-    reads_videos=True,
-    makes_files=True,
-)

@@ -10,11 +10,22 @@ from collections.abc import Sequence
 from pipeline.core.errors import PipelineError, listed
 from pipeline.core.findings import Finding, from_problem
 from pipeline.core.options.job_choices import BOARD_FRAMES, CalibrationChoices
-from pipeline.run.engine.stage import CALIBRATE, DETECT, FIND_BOARD, LOOK, Context, Output, ResultFile, Stage, Task
+from pipeline.run.engine.stage import CALIBRATE, DETECT, FIND_BOARD, LOOK, Context, Output, ResultFile, Task, declared
 
 _MEDIA_TYPES = {".json": "application/json", ".svg": "image/svg+xml"}
 
 
+@declared(
+    FIND_BOARD,
+    "Finding the board",
+    cut="cameras",
+    follows=(),
+    choices=("making",),
+    is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices) and config.making.board is not None,
+    unit="frames",
+    reads_videos=True,
+    max_frames=BOARD_FRAMES,
+)
 def find_board(task: Task, context: Context) -> Output:
     """Look for the board in frames of a camera."""
     import numpy as np
@@ -38,6 +49,15 @@ def find_board(task: Task, context: Context) -> Output:
     return Output(encode(views))
 
 
+@declared(
+    CALIBRATE,
+    "Calibrating cameras",
+    cut="whole",
+    follows=(LOOK, DETECT, FIND_BOARD),
+    choices=("making",),
+    is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices),
+    is_reusable=False,
+)
 def calibrate(task: Task, context: Context) -> Output:
     """Make a calibration, its report and its pictures."""
     from pipeline.calibration.board.calibrate_board import calibrate_board
@@ -88,27 +108,3 @@ def calibrate(task: Task, context: Context) -> Output:
     warnings = tuple(from_problem(problem, "warning") for problem in listed(calibration.warnings))
     made = {"text": text, "report": report}
     return Output(text.encode(), tuple(files), (*warnings, *hanging), calibration=made)
-
-
-BOARD_STAGE = Stage(
-    FIND_BOARD,
-    "Finding the board",
-    find_board,
-    cut="cameras",
-    follows=(),
-    choices=("making",),
-    is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices) and config.making.board is not None,
-    unit="frames",
-    reads_videos=True,
-    max_frames=BOARD_FRAMES,
-)
-CALIBRATE_STAGE = Stage(
-    CALIBRATE,
-    "Calibrating cameras",
-    calibrate,
-    cut="whole",
-    follows=(LOOK, DETECT, FIND_BOARD),
-    choices=("making",),
-    is_planned=lambda facts, config: isinstance(config.making, CalibrationChoices),
-    is_reusable=False,
-)

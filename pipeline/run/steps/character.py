@@ -1,6 +1,6 @@
 """Move a character of the user's own as the people of a take. The output is the index of its files."""
 
-from pipeline.run.engine.stage import RETARGET, TAKE, Context, Output, ResultFile, Stage, Task, indexed
+from pipeline.run.engine.stage import RETARGET, TAKE, Context, Output, ResultFile, Task, declared, indexed
 
 KIND = "character"
 """Kind of the files among a job's files."""
@@ -8,6 +8,16 @@ KIND = "character"
 _MEDIA_TYPES = {"glb": "model/gltf-binary", "bvh": "text/plain; charset=utf-8", "fbx": "application/octet-stream"}
 
 
+@declared(
+    RETARGET,
+    "Animating the character",
+    cut="whole",
+    follows=TAKE,
+    choices=("character", "exports", "output_rate_hz", "timeline", "names"),
+    is_planned=lambda facts, config: config.making is None and config.character is not None,
+    is_reusable=False,
+    makes_files=True,
+)
 def retarget_character(task: Task, context: Context) -> Output:
     """Retarget everybody onto the character, and write their files."""
     from pipeline.export.character.character_files import DESCRIPTION, write_character_files
@@ -23,16 +33,3 @@ def retarget_character(task: Task, context: Context) -> Output:
     ]
     files.append(ResultFile(DESCRIPTION, KIND, None, "application/json", folder / DESCRIPTION))
     return indexed(files)
-
-
-STAGE = Stage(
-    RETARGET,
-    "Animating the character",
-    retarget_character,
-    cut="whole",
-    follows=TAKE,
-    choices=("character", "exports", "output_rate_hz", "timeline", "names"),
-    is_planned=lambda facts, config: config.making is None and config.character is not None,
-    is_reusable=False,
-    makes_files=True,
-)

@@ -8,13 +8,16 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pipeline.run.engine.stage import CHECK, DETECT, LOOK, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.run.engine.stage import CHECK, DETECT, LOOK, SYNCHRONIZE, Context, Output, Task, declared
 
 if TYPE_CHECKING:
     from pipeline.core.data.cameras import Camera
     from pipeline.core.findings import SessionCheck
 
 
+@declared(
+    CHECK, "Checking the capture", cut="whole", follows=(LOOK, DETECT, SYNCHRONIZE), choices=("frame_range", "force")
+)
 def check(task: Task, context: Context) -> Output:
     """Check the session as it was given, on measured clocks if they were measured."""
     from pipeline.run.engine.codec import encode
@@ -46,13 +49,3 @@ def check_with(task: Task, context: Context, cameras: "Sequence[Camera]") -> "Se
     if clocks is not None:
         return check_bodies(on_measured_clocks(session, clocks), detections.bodies(given), joints, parts)
     return check_detections(session, partial(detections.near, task, given), joints, parts)
-
-
-STAGE = Stage(
-    CHECK,
-    "Checking the capture",
-    check,
-    cut="whole",
-    follows=(LOOK, DETECT, SYNCHRONIZE),
-    choices=("frame_range", "force"),
-)

@@ -15,6 +15,20 @@ from pipeline.run.engine import stage
 _MEASURED_HZ = 5.0
 
 
+def _is_clustering(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
+    """True if a job finds people by clustering."""
+    return config.is_of_people and config.method == "clustering"
+
+
+@stage.declared(
+    stage.LENGTHS,
+    "Measuring bones",
+    cut="whole",
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE),
+    choices=(FRAME_RANGE, "clustering"),
+    is_planned=_is_clustering,
+    looked_at_hz=_MEASURED_HZ,
+)
 def measure_lengths(task: stage.Task, context: stage.Context) -> stage.Output:
     """Measure everybody's bones, a range of frames at a time; and list the damaged videos."""
     from pipeline.run.engine.codec import encode
@@ -35,6 +49,14 @@ def measure_lengths(task: stage.Task, context: stage.Context) -> stage.Output:
     return stage.Output(encode(MeasuredBones(lengths, detections.damaged_videos(session, pictures))))
 
 
+@stage.declared(
+    stage.POSES,
+    "Grouping joints into people",
+    cut="ranges",
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS),
+    choices=(FRAME_RANGE, "clustering"),
+    is_planned=_is_clustering,
+)
 def find_poses(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find all people in a range of output frames."""
     from pipeline.run.engine.codec import encode, output_record
@@ -49,29 +71,3 @@ def find_poses(task: stage.Task, context: stage.Context) -> stage.Output:
     return stage.Output(
         encode(association_in(context, session).locate_people(frames, detected, lengths, context.on_unit))
     )
-
-
-def _is_clustering(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """True if a job finds people by clustering."""
-    return config.is_of_people and config.method == "clustering"
-
-
-LENGTHS_STAGE = stage.Stage(
-    stage.LENGTHS,
-    "Measuring bones",
-    measure_lengths,
-    cut="whole",
-    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE),
-    choices=(FRAME_RANGE, "clustering"),
-    is_planned=_is_clustering,
-    looked_at_hz=_MEASURED_HZ,
-)
-POSES_STAGE = stage.Stage(
-    stage.POSES,
-    "Grouping joints into people",
-    find_poses,
-    cut="ranges",
-    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS),
-    choices=(FRAME_RANGE, "clustering"),
-    is_planned=_is_clustering,
-)

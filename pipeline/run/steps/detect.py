@@ -11,7 +11,7 @@ from functools import partial
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import CalibrationChoices
-from pipeline.run.engine.stage import DETECT, LOOK, Context, Output, SessionFacts, Stage, Task
+from pipeline.run.engine.stage import DETECT, LOOK, Context, Output, SessionFacts, Task, declared
 
 LOOKED_AT_FRAMES = 12
 """Largest number of frames of a camera that are looked at."""
@@ -19,6 +19,25 @@ LOOKED_AT_FRAMES = 12
 _UNSIZED_FRAMES = 3
 
 
+def _detects_people(facts: SessionFacts, config: ReconstructionConfig) -> bool:
+    """True if a job has people detected in videos: to reconstruct them, or to calibrate by them."""
+    making = config.making
+    is_wanted = config.is_of_people or (isinstance(making, CalibrationChoices) and making.board is None)
+    return facts.has_videos and is_wanted
+
+
+@declared(
+    LOOK,
+    "Scanning the videos",
+    cut="cameras",
+    follows=(),
+    choices=("profile", "detector", "poses"),
+    is_planned=_detects_people,
+    unit="frames",
+    reads_videos=True,
+    runs_networks=True,
+    max_frames=LOOKED_AT_FRAMES,
+)
 def look(task: Task, context: Context) -> Output:
     """Look at the people in some frames of a camera's whole video: turn and size of its images."""
     from pipeline.detection.look import look_at_people
@@ -48,6 +67,18 @@ def look(task: Task, context: Context) -> Output:
     return Output(encode(camera_look))
 
 
+@declared(
+    DETECT,
+    "Finding people",
+    cut="camera ranges",
+    follows=(LOOK,),
+    choices=("profile", "joints", "detector", "follow_s", "output"),
+    is_planned=_detects_people,
+    unit="frames",
+    reads_videos=True,
+    runs_networks=True,
+    leaves_interim=lambda config: config.uses_colours,
+)
 def detect(task: Task, context: Context) -> Output:
     """Find bodies or fields. If nothing but the colours is missing, they are measured without the network."""
     from pipeline.core.data.arrays import no_colours
@@ -103,38 +134,3 @@ def _first_people(task: Task, context: Context, content: bytes) -> bytes | None:
         return None
     session, joints = context.session(), detection_joints(config)
     return first_people(session.cameras, session.times, session.timebase, detections, joints, task.frames)
-
-
-def _detects_people(facts: SessionFacts, config: ReconstructionConfig) -> bool:
-    """True if a job has people detected in videos: to reconstruct them, or to calibrate by them."""
-    making = config.making
-    is_wanted = config.is_of_people or (isinstance(making, CalibrationChoices) and making.board is None)
-    return facts.has_videos and is_wanted
-
-
-LOOK_STAGE = Stage(
-    LOOK,
-    "Scanning the videos",
-    look,
-    cut="cameras",
-    follows=(),
-    choices=("profile", "detector", "poses"),
-    is_planned=_detects_people,
-    unit="frames",
-    reads_videos=True,
-    runs_networks=True,
-    max_frames=LOOKED_AT_FRAMES,
-)
-DETECT_STAGE = Stage(
-    DETECT,
-    "Finding people",
-    detect,
-    cut="camera ranges",
-    follows=(LOOK,),
-    choices=("profile", "joints", "detector", "follow_s", "output"),
-    is_planned=_detects_people,
-    unit="frames",
-    reads_videos=True,
-    runs_networks=True,
-    leaves_interim=lambda config: config.uses_colours,
-)

@@ -8,6 +8,20 @@ from pipeline.run.engine import stage
 from pipeline.run.steps.fit import CHOICES
 
 
+def _is_edited(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
+    """Return whether a job has edits of frames; names change no frames."""
+    return config.is_of_people and bool(config.people_edits)
+
+
+@stage.declared(
+    stage.EDIT,
+    "Applying edits",
+    cut="whole",
+    follows=(stage.SYNCHRONIZE, stage.IDENTIFY),
+    choices=("edits",),
+    is_planned=_is_edited,
+    is_of_edits=True,
+)
 def edit(task: stage.Task, context: stage.Context) -> stage.Output:
     """Put the people together that the edits change."""
     from pipeline.run.engine.edited_people import applied_edits, changed_people
@@ -21,6 +35,16 @@ def edit(task: stage.Task, context: stage.Context) -> stage.Output:
     return stage.Output(path.read_bytes())
 
 
+@stage.declared(
+    stage.REFIT,
+    "Solving edited people",
+    cut="people",
+    follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD, stage.EDIT),
+    choices=(*CHOICES, "feet"),
+    is_planned=_is_edited,
+    is_of_edits=True,
+    pieces_of=stage.REFIT,
+)
 def refit(task: stage.Task, context: stage.Context) -> stage.Output:
     """Animate and correct a part of the people changed by edits, unless an earlier task has done so."""
     from pipeline.core.data.animation import Animation
@@ -31,7 +55,7 @@ def refit(task: stage.Task, context: stage.Context) -> stage.Output:
 
     changed, on_share = found_people(context, stage.EDIT).people, context.on_share(task)
     refitter = Refitter(task, context)
-    numbers = range(len(changed.tracks))[REFIT_STAGE.people(task)]
+    numbers = range(len(changed.tracks))[refit.people(task)]
     fitted = [
         refitter.animation(changed.tracks[number], changed.observations[number], on_person)
         for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True)
@@ -40,31 +64,3 @@ def refit(task: stage.Task, context: stage.Context) -> stage.Output:
     tracks, motions = (person.tracks[0] for person in fitted), (person.motions[0] for person in fitted)
     animation = Animation(tuple(tracks), tuple(motions), refitter.floor)
     return stage.Output(encode(animation), pieces=refitter.pieces.files)
-
-
-def _is_edited(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """Return whether a job has edits of frames; names change no frames."""
-    return config.is_of_people and bool(config.people_edits)
-
-
-EDIT_STAGE = stage.Stage(
-    stage.EDIT,
-    "Applying edits",
-    edit,
-    cut="whole",
-    follows=(stage.SYNCHRONIZE, stage.IDENTIFY),
-    choices=("edits",),
-    is_planned=_is_edited,
-    is_of_edits=True,
-)
-REFIT_STAGE = stage.Stage(
-    stage.REFIT,
-    "Solving edited people",
-    refit,
-    cut="people",
-    follows=(stage.SYNCHRONIZE, stage.REFINE, stage.IDENTIFY, stage.HOLD, stage.EDIT),
-    choices=(*CHOICES, "feet"),
-    is_planned=_is_edited,
-    is_of_edits=True,
-    pieces_of=stage.REFIT,
-)

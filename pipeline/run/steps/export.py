@@ -26,6 +26,16 @@ _CHOICES = ("exports", "preset", "output_rate_hz", "timeline", "body", "segments
 _MAX_NAMED = 10
 
 
+@stage.declared(
+    stage.WRITE,
+    "Writing edited people",
+    cut="people",
+    follows=stage.TAKE,
+    choices=_CHOICES,
+    is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
+    is_of_edits=True,
+    pieces_of=stage.EXPORT,
+)
 def write_people(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the files of a part of the people."""
     from pipeline.export.results import keep_people
@@ -35,10 +45,21 @@ def write_people(task: stage.Task, context: stage.Context) -> stage.Output:
     config, pieces = context.config, Pieces(task, context)
     choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
     files = FilesInPieces(pieces, context.scratch)
-    keep_people(assemble(context), WRITE_STAGE.people(task), context.scratch, *choices, context.on_share(task), files)
+    keep_people(assemble(context), write_people.people(task), context.scratch, *choices, context.on_share(task), files)
     return stage.Output(b"", pieces=pieces.files)
 
 
+@stage.declared(
+    stage.EXPORT,
+    "Writing files",
+    cut="whole",
+    follows=(*stage.TAKE, stage.WRITE, stage.OPENSIM),
+    choices=(*_CHOICES, "names"),
+    is_planned=lambda facts, config: config.making is None,
+    is_reusable=False,
+    makes_files=True,
+    pieces_of=stage.EXPORT,
+)
 def export(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the result files, and the files for viewers if they are wanted."""
     from pipeline.export.quality.report import all_checks, quality_report
@@ -124,28 +145,3 @@ def _result_file(path: Path, names: Mapping[int, str]) -> stage.ResultFile:
         kind, _, _ = ending.partition(".")
         return stage.ResultFile(path.name, kind, person, FILE_FORMATS["csv"].media_type, path, person_name)
     return stage.ResultFile(path.name, path.stem, None, "application/json", path)
-
-
-WRITE_STAGE = stage.Stage(
-    stage.WRITE,
-    "Writing edited people",
-    write_people,
-    cut="people",
-    follows=stage.TAKE,
-    choices=_CHOICES,
-    is_planned=lambda facts, config: config.making is None and bool(config.people_edits),
-    is_of_edits=True,
-    pieces_of=stage.EXPORT,
-)
-EXPORT_STAGE = stage.Stage(
-    stage.EXPORT,
-    "Writing files",
-    export,
-    cut="whole",
-    follows=(*stage.TAKE, stage.WRITE, stage.OPENSIM),
-    choices=(*_CHOICES, "names"),
-    is_planned=lambda facts, config: config.making is None,
-    is_reusable=False,
-    makes_files=True,
-    pieces_of=stage.EXPORT,
-)

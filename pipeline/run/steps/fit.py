@@ -6,12 +6,20 @@ the state of their fits. The output of a task of *Holding feet still* is an ``An
 
 from functools import cache
 
-from pipeline.run.engine.stage import FIT, HOLD, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.run.engine.stage import FIT, HOLD, IDENTIFY, REFINE, SYNCHRONIZE, Context, Output, Task, declared
 
 CHOICES = ("smoothing", "cutoff_hz", "joint_centers")
 """Choices of a fit, and of the fit of people changed by edits."""
 
 
+@declared(
+    FIT,
+    "Solving skeletons",
+    cut="people",
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY),
+    choices=CHOICES,
+    leaves_interim=lambda config: True,
+)
 def fit(task: Task, context: Context) -> Output:
     """Fit the skeletons of a part of the people; the first task also finds from whose feet the floor is estimated."""
     from pipeline.association.identity.likenesses import find_likenesses, seen_in
@@ -32,7 +40,7 @@ def fit(task: Task, context: Context) -> Output:
         sees = cache(seen_in(people.observations))
         likenesses = find_likenesses(people.tracks, sees, session.cameras, joints, session.timebase.frame_rate_hz)
         on_floor = tuple(likenesses.others(len(people.tracks)))
-    on_share, numbers = context.on_share(task), range(len(people.tracks))[FIT_STAGE.people(task)]
+    on_share, numbers = context.on_share(task), range(len(people.tracks))[fit.people(task)]
     fitted = [
         fitter.fit(people.tracks[number], people.observations[number], on_person)
         for number, on_person in zip(numbers, split(on_share, [1] * len(numbers)), strict=True)
@@ -42,6 +50,14 @@ def fit(task: Task, context: Context) -> Output:
     return Output(encode(feet), interim=encode(tuple(person.state for person in fitted)))
 
 
+@declared(
+    HOLD,
+    "Holding feet still",
+    cut="people",
+    follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT),
+    choices=(*CHOICES, "feet"),
+    interim_of=(FIT,),
+)
 def hold_feet(task: Task, context: Context) -> Output:
     """Finish the motion of a part of the people: feet that stand are held, and hands are fitted."""
     from pipeline.core.data.animation import Animation
@@ -63,7 +79,7 @@ def hold_feet(task: Task, context: Context) -> Output:
     path = context.scratch / "states.npz"
     path.write_bytes(*context.interim(FIT, slice(task.index, task.index + 1)))
     states = RecordArchive(path)  # one of them at a time is in memory
-    on_share, numbers = context.on_share(task), range(len(people.tracks))[HOLD_STAGE.people(task)]
+    on_share, numbers = context.on_share(task), range(len(people.tracks))[hold_feet.people(task)]
     finished = [
         fitter.finish(
             FittedPerson(states.read(FitState, place), points[number]),
@@ -77,23 +93,3 @@ def hold_feet(task: Task, context: Context) -> Output:
     on_share(1.0)
     tracks, motions = (track for track, _ in finished), (motion for _, motion in finished)
     return Output(encode(Animation(tuple(tracks), tuple(motions), floor)))
-
-
-FIT_STAGE = Stage(
-    FIT,
-    "Solving skeletons",
-    fit,
-    cut="people",
-    follows=(SYNCHRONIZE, REFINE, IDENTIFY),
-    choices=CHOICES,
-    leaves_interim=lambda config: True,
-)
-HOLD_STAGE = Stage(
-    HOLD,
-    "Holding feet still",
-    hold_feet,
-    cut="people",
-    follows=(SYNCHRONIZE, REFINE, IDENTIFY, FIT),
-    choices=(*CHOICES, "feet"),
-    interim_of=(FIT,),
-)

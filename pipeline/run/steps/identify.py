@@ -4,6 +4,14 @@ from pipeline.run.engine import stage
 from pipeline.run.steps.redetect import redetects_bodies
 
 
+@stage.declared(
+    stage.IDENTIFY,
+    "Matching people across cameras",
+    cut="whole",
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE, stage.REDETECT),
+    choices=("people",),
+    interim_of=(stage.DETECT,),
+)
 def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find out who is who, give people the bodies that were detected again, and each limb one person and one side."""
     from pipeline.association.hands.attach import has_hands
@@ -40,14 +48,3 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     del people
     context.on_share(task)(1.0)
     return stage.Output(path.read_bytes())
-
-
-STAGE = stage.Stage(
-    stage.IDENTIFY,
-    "Matching people across cameras",
-    identify,
-    cut="whole",
-    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE, stage.REDETECT),
-    choices=("people",),
-    interim_of=(stage.DETECT,),
-)

@@ -10,6 +10,19 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine import stage
 
 
+def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
+    """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
+    return facts.has_videos and config.is_of_people and config.networks.again is not None
+
+
+@stage.declared(
+    stage.EXPECT,
+    "Checking unusual poses",
+    cut="whole",
+    follows=(stage.LOOK, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE),
+    choices=("people",),
+    is_planned=redetects_bodies,
+)
 def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find the frames of each camera in which people are expected who lean, and their places there."""
     from pipeline.association.redetection.expect import expect_leaning
@@ -36,6 +49,17 @@ def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
     )
 
 
+@stage.declared(
+    stage.REDETECT,
+    "Detecting unusual poses again",
+    cut="camera ranges",
+    follows=(stage.LOOK, stage.SYNCHRONIZE, stage.EXPECT),
+    choices=("profile", "joints", "detector", "output"),
+    is_planned=redetects_bodies,
+    frames_a_unit=10,
+    reads_videos=True,
+    runs_networks=True,
+)
 def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
     """Read the joints of expected bodies in crops; nothing is loaded or decoded where no person is expected."""
     from pipeline.association.redetection.crops import detect_expected
@@ -68,31 +92,3 @@ def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
         )
     on_share(1.0)
     return stage.Output(encode(found))
-
-
-def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
-    return facts.has_videos and config.is_of_people and config.networks.again is not None
-
-
-EXPECT_STAGE = stage.Stage(
-    stage.EXPECT,
-    "Checking unusual poses",
-    expect_bodies,
-    cut="whole",
-    follows=(stage.LOOK, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE),
-    choices=("people",),
-    is_planned=redetects_bodies,
-)
-REDETECT_STAGE = stage.Stage(
-    stage.REDETECT,
-    "Detecting unusual poses again",
-    redetect,
-    cut="camera ranges",
-    follows=(stage.LOOK, stage.SYNCHRONIZE, stage.EXPECT),
-    choices=("profile", "joints", "detector", "output"),
-    is_planned=redetects_bodies,
-    frames_a_unit=10,
-    reads_videos=True,
-    runs_networks=True,
-)

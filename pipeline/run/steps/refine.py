@@ -6,9 +6,17 @@ Errors of the session's check that refinement may mend are judged here, with the
 from collections.abc import Iterator
 from typing import Any
 
-from pipeline.run.engine.stage import CHECK, DETECT, REFINE, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.run.engine.stage import CHECK, DETECT, REFINE, SYNCHRONIZE, Context, Output, Task, declared
 
 
+@declared(
+    REFINE,
+    "Refining the calibration",
+    cut="whole",
+    follows=(DETECT, SYNCHRONIZE, CHECK),
+    choices=("refine_calibration", "method", "frame_range", "tracking", "clustering"),
+    is_planned=lambda facts, config: config.is_of_people and config.refine_calibration == "auto",
+)
 def refine(task: Task, context: Context) -> Output:
     """Refine the cameras of the session, on measured clocks if they were measured."""
     from pipeline.core.findings import SessionCheck
@@ -35,14 +43,3 @@ def refine(task: Task, context: Context) -> Output:
     if is_deferred(output_record(context, CHECK, SessionCheck), session.cameras, config):
         judge_refined(check_with(task, context, refined.cameras), refined.cameras)
     return Output(encode(refined))
-
-
-STAGE = Stage(
-    REFINE,
-    "Refining the calibration",
-    refine,
-    cut="whole",
-    follows=(DETECT, SYNCHRONIZE, CHECK),
-    choices=("refine_calibration", "method", "frame_range", "tracking", "clustering"),
-    is_planned=lambda facts, config: config.is_of_people and config.refine_calibration == "auto",
-)

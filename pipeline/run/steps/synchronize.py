@@ -2,9 +2,17 @@
 
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.finding_codes import SYNC_NEEDS_BODIES
-from pipeline.run.engine.stage import DETECT, SYNCHRONIZE, Context, Output, Stage, Task
+from pipeline.run.engine.stage import DETECT, SYNCHRONIZE, Context, Output, Task, declared
 
 
+@declared(
+    SYNCHRONIZE,
+    "Synchronising cameras",
+    cut="whole",
+    follows=(DETECT,),
+    choices=("sync",),
+    is_planned=lambda facts, config: config.is_of_people and config.sync == "auto",
+)
 def synchronize(task: Task, context: Context) -> Output:
     """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
     from pipeline.capture.synchronization.session_clocks import listen, measure_clocks
@@ -18,14 +26,3 @@ def synchronize(task: Task, context: Context) -> Output:
     bodies, joints = detections.bodies(session), detections.joints(session)
     sound = listen(session, context.video)
     return Output(encode(measure_clocks(session, bodies, joints, sound, context.on_share(task))))
-
-
-STAGE = Stage(
-    SYNCHRONIZE,
-    "Synchronising cameras",
-    synchronize,
-    cut="whole",
-    follows=(DETECT,),
-    choices=("sync",),
-    is_planned=lambda facts, config: config.is_of_people and config.sync == "auto",
-)

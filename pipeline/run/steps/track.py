@@ -3,6 +3,14 @@
 from pipeline.run.engine import stage
 
 
+@stage.declared(
+    stage.ASSOCIATE,
+    "Tracking people",
+    cut="whole",
+    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS, stage.POSES),
+    choices=("method", "frame_range", "appearance", "tracking", "clustering"),
+    interim_of=(stage.DETECT,),
+)
 def track(task: stage.Task, context: stage.Context) -> stage.Output:
     """Turn bodies or poses of all frames into tracks."""
     from pipeline.association.hands.attach import without_fingers
@@ -28,14 +36,3 @@ def track(task: stage.Task, context: stage.Context) -> stage.Output:
     write_people(path, people, damaged)
     del people
     return stage.Output(path.read_bytes())
-
-
-STAGE = stage.Stage(
-    stage.ASSOCIATE,
-    "Tracking people",
-    track,
-    cut="whole",
-    follows=(stage.DETECT, stage.SYNCHRONIZE, stage.REFINE, stage.LENGTHS, stage.POSES),
-    choices=("method", "frame_range", "appearance", "tracking", "clustering"),
-    interim_of=(stage.DETECT,),
-)

@@ -8,6 +8,18 @@ from pipeline.run.engine import stage
 from pipeline.run.steps.blur import head_regions_in
 
 
+@stage.declared(
+    stage.OVERLAY,
+    "Drawing overlay videos",
+    cut="cameras",
+    follows=(*stage.TAKE, stage.HEADS),
+    choices=("overlay", "blur_faces", "frame_range", "names"),
+    is_planned=lambda facts, config: config.is_of_people and config.overlay and facts.has_videos,
+    unit="frames",
+    is_reusable=False,
+    reads_videos=True,
+    makes_files=True,
+)
 def draw_overlay(task: stage.Task, context: stage.Context) -> stage.Output:
     """Make the overlay video of a camera; none if it took no frame of the take."""
     from pipeline.export.overlay import draw_video, overlay_names
@@ -24,6 +36,16 @@ def draw_overlay(task: stage.Task, context: stage.Context) -> stage.Output:
     return stage.indexed([stage.ResultFile(path.name, OVERLAY_KIND, None, "video/mp4", path)])
 
 
+@stage.declared(
+    stage.REPORT,
+    "Writing the report",
+    cut="whole",
+    follows=(*stage.TAKE, stage.HEADS),
+    choices=("report", "blur_faces", "names"),
+    is_planned=lambda facts, config: config.is_of_people and config.report,
+    is_reusable=False,
+    makes_files=True,
+)
 def write_report(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the report: contents from the reconstruction and its session, pictures from the videos."""
     from pipeline.export.report.contents import gather_contents, list_versions
@@ -50,6 +72,17 @@ def write_report(task: stage.Task, context: stage.Context) -> stage.Output:
     return stage.indexed([stage.ResultFile(path.name, REPORT_KIND, None, "text/html; charset=utf-8", path)])
 
 
+@stage.declared(
+    stage.RECORD,
+    "Writing the Rerun file",
+    cut="whole",
+    follows=(stage.DETECT, *stage.TAKE, stage.HEADS),
+    choices=("exports", "blur_faces", "names"),
+    is_planned=lambda facts, config: config.is_of_people and "rerun" in config.exports,
+    is_reusable=False,
+    reads_videos=True,
+    makes_files=True,
+)
 def write_rerun(task: stage.Task, context: stage.Context) -> stage.Output:
     """Write the Rerun file: the take, with the pictures and the detections of its session."""
     from pipeline.export.rerun.rerun_file import RecordedFootage
@@ -68,41 +101,3 @@ def write_rerun(task: stage.Task, context: stage.Context) -> stage.Output:
         context.on_share(task),
     )
     return stage.indexed([stage.ResultFile(path.name, RERUN_KIND, None, "application/octet-stream", path)])
-
-
-OVERLAY_STAGE = stage.Stage(
-    stage.OVERLAY,
-    "Drawing overlay videos",
-    draw_overlay,
-    cut="cameras",
-    follows=(*stage.TAKE, stage.HEADS),
-    choices=("overlay", "blur_faces", "frame_range", "names"),
-    is_planned=lambda facts, config: config.is_of_people and config.overlay and facts.has_videos,
-    unit="frames",
-    is_reusable=False,
-    reads_videos=True,
-    makes_files=True,
-)
-REPORT_STAGE = stage.Stage(
-    stage.REPORT,
-    "Writing the report",
-    write_report,
-    cut="whole",
-    follows=(*stage.TAKE, stage.HEADS),
-    choices=("report", "blur_faces", "names"),
-    is_planned=lambda facts, config: config.is_of_people and config.report,
-    is_reusable=False,
-    makes_files=True,
-)
-RERUN_STAGE = stage.Stage(
-    stage.RECORD,
-    "Writing the Rerun file",
-    write_rerun,
-    cut="whole",
-    follows=(stage.DETECT, *stage.TAKE, stage.HEADS),
-    choices=("exports", "blur_faces", "names"),
-    is_planned=lambda facts, config: config.is_of_people and "rerun" in config.exports,
-    is_reusable=False,
-    reads_videos=True,
-    makes_files=True,
-)
