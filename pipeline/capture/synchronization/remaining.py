@@ -61,18 +61,11 @@ def remaining_offsets(
     The pairs of cameras are few, so that the cost grows with the cameras. Clocks are refined from the declared times
     first. Only cameras whose people do not agree there are compared at other lags.
 
-    Parameters
-    ----------
-    times, detections
-        Declared frame times and bodies by camera name, such as from ``pipeline.run.engine.local.detect_people`` or of
-        ``KeypointSession``. A few seconds in which people move are enough.
+    ``times``, ``detections``: declared frame times and bodies by camera name, such as from
+    ``pipeline.run.engine.local.detect_people`` or of ``KeypointSession``. A few seconds in which people move are
+    enough. Returns one for each camera, in their order; empty if the clocks can't be measured with certainty, as when
+    no one moves.
 
-    Returns
-    -------
-        One for each camera, in their order; empty if the clocks can't be measured with certainty, as when no one moves.
-
-    Examples
-    --------
     ``[offset for offset in remaining_offsets(...) if offset.is_wrong]`` are the cameras to warn of.
     """
     motions = find_motions(cameras, times, detections, joints)

@@ -40,21 +40,15 @@ _TOUCH_M, _HAND_M = 0.25, 0.15
 def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: JointSet) -> dict[str, Any]:
     """Score tracks over the twelve joints of the body.
 
-    Returns
-    -------
-    mpjpe_mm, recall, ghost_rate, switches
-        See ``evaluation.mpjpe``.
-    mota, idf1
-        See ``evaluation.mot``; pairs match within 0.5 m.
-    bone_std_cm, jitter_m_s2
-        See ``quality.report``; ``None`` without tracks.
-    people_correct
-        Share of frames with as many tracks as people.
-    hands_kept
-        Share of the frames with two touching people in which all four wrists are within 0.15 m of the truth; ``None``
-        if no person touches another.
-    mpjpe_by_joint_mm
-        Mean error by kind of joint, left and right together, for the twelve joints, nose and neck.
+    The result has:
+
+    - ``mpjpe_mm``, ``recall``, ``ghost_rate``, ``switches``: see ``evaluation.mpjpe``.
+    - ``mota``, ``idf1``: see ``evaluation.mot``; pairs match within 0.5 m.
+    - ``bone_std_cm``, ``jitter_m_s2``: see ``quality.report``; ``None`` without tracks.
+    - ``people_correct``: share of frames with as many tracks as people.
+    - ``hands_kept``: share of the frames with two touching people in which all four wrists are within 0.15 m of the
+      truth; ``None`` if no person touches another.
+    - ``mpjpe_by_joint_mm``: mean error by kind of joint, left and right together, for the twelve joints, nose and neck.
     """
     frames = np.arange(simulation.timebase.num_frames)
     truth_m = simulation.truth_m[:, :, simulation.joints.indices(mpjpe.BODY_JOINTS)]

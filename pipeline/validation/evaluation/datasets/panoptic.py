@@ -116,21 +116,15 @@ def score_panoptic(
 ) -> dict[str, Any]:
     """Score tracks of COCO's joints.
 
-    Parameters
-    ----------
-    timebase
-        Output frames of the tracks. Poses at other times do not count.
-    time_s
-        Time of each HD frame by its number.
+    ``timebase``: output frames of the tracks. Poses at other times do not count. ``time_s``: time of each HD frame by
+    its number.
 
-    Returns
-    -------
-    instants, people
-        Number of the compared instants, and of the people in them.
-    mean_ap, ap, recall_500, mpjpe_500_mm
-        See ``evaluation.average_precision``.
-    mpjpe_mm, pck150, recall, switches, ghost_rate
-        See ``evaluation.mpjpe``; the data set's numbers of people change where it lost a person.
+    The result has:
+
+    - ``instants``, ``people``: number of the compared instants, and of the people in them.
+    - ``mean_ap``, ``ap``, ``recall_500``, ``mpjpe_500_mm``: see ``evaluation.average_precision``.
+    - ``mpjpe_mm``, ``pck150``, ``recall``, ``switches``, ``ghost_rate``: see ``evaluation.mpjpe``; the data set's
+      numbers of people change where it lost a person.
     """
     placed = [
         (row, round((time_s[number] - timebase.start_time_s) * timebase.frame_rate_hz))
