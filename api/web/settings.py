@@ -198,6 +198,10 @@ class Settings(SharedSettings):
     max_thumbnail_bytes: int = Field(default=30_000, gt=0, description="Largest size of a phone's thumbnail.")
     max_thumbnails_per_s: float = Field(default=2.0, ge=0)
     """Thumbnails of a phone in a second that are passed on; more are dropped."""
+    max_phone_picture_bytes: int = Field(default=150_000, gt=0, le=200_000)
+    """Largest size of a phone's picture for live captures."""
+    max_phone_pictures_per_s: float = Field(default=15.0, gt=0)
+    """Pictures of a phone in a second that live captures get; more are dropped."""
     recording_idle_s: float = Field(default=30.0, gt=0)
     """Longest time in which a phone of a recording sends nothing, or a phone or host takes nothing of what waits."""
 

@@ -9,6 +9,9 @@ import { LIVE } from "../shared/strings/live.js";
 const TEXT = LIVE.cameras;
 const [SYNC_S, SCHEME, RECEIVER] = [10, "rtsp://", "127.0.0.1:39539"];
 
+/** Phones of a recording as sources of cameras. */
+const phonesOf = ({ id, phones }) => phones.filter(({ is_removed: isRemoved }) => !isRemoved).map(({ number, name }) => ({ name, source: `phone://${id}/${number}` }));
+
 /** Chosen cameras of a capture; `changed` is called after each change from elsewhere. */
 export class ChosenCameras {
   rows = []; // { name, source }
@@ -20,6 +23,8 @@ export class ChosenCameras {
   problem = null;
   isNew = false; // true: these cameras are to be calibrated, and get their names here
   durationS = 20; // of the recording from which they are calibrated
+  recordings = []; // that have phones
+  recording = null; // the chosen one, whose phones are cameras
   #names = ""; // of the calibration whose cameras are listed
 
   constructor(changed) {
@@ -28,8 +33,8 @@ export class ChosenCameras {
 
   async load() {
     try {
-      const [devices, { choices }] = await Promise.all([call("/v1/live/devices"), readOptions()]);
-      Object.assign(this, { devices, profiles: choices.find(({ name }) => name === "profile").values, problem: null });
+      const [devices, { choices }, { recordings }] = await Promise.all([call("/v1/live/devices"), readOptions(), call("/v1/recordings")]);
+      Object.assign(this, { devices, profiles: choices.find(({ name }) => name === "profile").values, recordings: recordings.filter((recording) => phonesOf(recording).length), problem: null });
     } catch (problem) {
       this.problem = problem;
     }
@@ -43,12 +48,22 @@ export class ChosenCameras {
     this.#names = names.join("\n");
     const typedSources = new Map(this.rows.map(({ name, source }) => [name, source]));
     this.rows = names.map((name) => ({ name, source: typedSources.get(name) ?? "" }));
+    this.#takePhones();
+  }
+
+  // Phones of the chosen recording become the cameras of their names; of a calibration that is to be made, all of them.
+  #takePhones() {
+    if (!this.recording) return;
+    const sources = new Map(phonesOf(this.recording).map(({ name, source }) => [name, source]));
+    if (this.isNew) this.rows = [...sources].map(([name, source]) => ({ name, source }));
+    else for (const row of this.rows) row.source = sources.get(row.name) ?? row.source;
   }
 
   /** Let the cameras be named, for a calibration that is to be made. */
   rename() {
     this.isNew = true;
     this.#names = "";
+    this.#takePhones();
     while (this.rows.length < 2) this.add();
   }
 
@@ -73,8 +88,11 @@ export class ChosenCameras {
     return html`<section class="panel" aria-labelledby="sources-title"><div class="with-help"><h2 id="sources-title">${COMMON.cameras}</h2>${helpLink("live", COMMON.cameras)}</div>
       <p class="quiet" id="sources-hint">${this.rows.length ? TEXT.hint : TEXT.noCalibration} ${this.devices === null ? nothing : allowsPrivate ? TEXT.devices(devices.length) : TEXT.publicOnly}</p>
       ${problemBox(this.problem)}
+      ${this.recordings.length ? html`${selectField(TEXT.phones, [["", TEXT.noPhones], ...this.recordings.map(({ id, name }) => [id, name])], { chosen: this.recording?.id, choose: (id) => { this.recording = this.recordings.find((one) => one.id === id) ?? null; this.#takePhones(); this.changed(); }, isOff: isLocked })}
+        ${this.recording ? html`<p class="quiet">${TEXT.phonesHint}</p>` : nothing}` : nothing}
       ${this.rows.map((row, place) => this.#row(row, place, isLocked))}
-      <datalist id="live-devices">${devices.map(({ device, name }) => html`<option value=${device}>${name}</option>`)}</datalist>
+      <datalist id="live-devices">${devices.map(({ device, name }) => html`<option value=${device}>${name}</option>`)}
+        ${this.recordings.flatMap((recording) => phonesOf(recording).map(({ name, source }) => html`<option value=${source}>${TEXT.phoneOf(name, recording.name)}</option>`))}</datalist>
       ${this.isNew ? this.#recordingFields(isLocked) : this.#captureFields(isLocked, allowsPrivate)}
     </section>`;
   }

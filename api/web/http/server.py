@@ -79,7 +79,10 @@ def server_config(app: FastAPI, settings: Settings) -> Config:
         limit_concurrency=min(settings.max_connections, max_connections),
         ws=bounded_websocket(partial(_wrong_frames, settings)),
         ws_max_size=max(
-            settings.max_live_message_bytes, settings.max_recording_message_bytes, settings.max_thumbnail_bytes
+            settings.max_live_message_bytes,
+            settings.max_recording_message_bytes,
+            settings.max_thumbnail_bytes,
+            settings.max_phone_picture_bytes,
         ),
         ws_per_message_deflate=False,
         ssl_certfile=settings.certificate,

@@ -5,7 +5,8 @@ import dataclasses
 import ipaddress
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
@@ -19,6 +20,7 @@ from api.web.live.connection import LiveConnection
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import read_end
 from api.web.live.keeping import KeptPackets
+from api.web.live.phones import WrongSourceError, phones_taken, require_phone
 from api.web.live.problems import failed, refused
 from api.web.live.process import CaptureProcess, camera_process
 from api.web.live.relay import Outgoing, all_or_first_error
@@ -43,13 +45,16 @@ def allows_private(settings: Settings, caller: Caller) -> bool:
 
 
 def read_cameras(
-    start: LiveCamerasStart | LiveRecordStart, known: Sequence[str] | None, is_private: bool
+    start: LiveCamerasStart | LiveRecordStart,
+    known: Collection[str] | None,
+    is_private: bool,
+    require_phone: Callable[[str], None],
 ) -> list[CameraSource]:
     """Sources of the cameras of a start; raises ``SocketProblem`` with all that is wrong.
 
     Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
     ``known`` are the names of the calibrated cameras; ``None``: there is no calibration yet. With ``is_private``
-    cameras of this machine and of private networks are allowed.
+    cameras of this machine and of private networks are allowed. ``require_phone`` refuses other sources than phones.
     """
     errors: list[ErrorItem] = []
     sources: list[CameraSource] = []
@@ -57,12 +62,12 @@ def read_cameras(
     resolve_end_s = time.monotonic() + _RESOLVE_S
     for place, (name, text) in enumerate((camera.camera, camera.source.strip()) for camera in start.cameras):
         names = [camera.camera for camera in start.cameras[:place]]
-        for code, message, hint in name_problems(name, [name] if known is None else known, names):
+        for code, message, hint in name_problems(name, [name] if known is None else list(known), names):
             pointer = pointer_to("cameras", place, "camera")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         try:
-            sources.append(_source(name, text, devices, None if is_private else resolve_end_s))
-        except _WrongSourceError as wrong:
+            sources.append(_source(name, text, devices, None if is_private else resolve_end_s, require_phone))
+        except WrongSourceError as wrong:
             code, message, hint = wrong.args
             pointer = pointer_to("cameras", place, "source")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
@@ -77,33 +82,34 @@ def read_cameras(
     return sources
 
 
-class _WrongSourceError(Exception):
-    """A source can't be opened: code, message and hint."""
-
-
-def _source(name: str, text: str, devices: dict[str, str], resolve_end_s: float | None) -> CameraSource:
+def _source(
+    name: str, text: str, devices: dict[str, str], resolve_end_s: float | None, require_phone: Callable[[str], None]
+) -> CameraSource:
     """Source of a text; ``resolve_end_s`` is the end of the time for names, ``None``: all addresses are allowed."""
     scheme, sign, _ = text.partition("://")
     if text in devices:
         return CameraSource(name, "device", text)
+    if sign and scheme == "phone":
+        require_phone(text)
+        return CameraSource(name, "phone", text)
     if not sign:
         listed = f"Its cameras are {', '.join(devices)}." if devices else "It has none."
         further = listed if resolve_end_s is None else _PRIVATE_HINT
         hint = f"Write an address such as rtsp://192.168.0.10/stream. {further}"
-        raise _WrongSourceError(CAMERA_SOURCE, "The service's machine has no such camera that may be opened.", hint)
+        raise WrongSourceError(CAMERA_SOURCE, "The service's machine has no such camera that may be opened.", hint)
     if (kind := SCHEMES.get(scheme.lower())) is None:
-        raise _WrongSourceError(*unsupported(scheme[:40]))
+        raise WrongSourceError(*unsupported(scheme[:40]))
     if fault := url_fault(text):
-        raise _WrongSourceError(CAMERA_SOURCE, fault, "Correct the address.")
+        raise WrongSourceError(CAMERA_SOURCE, fault, "Correct the address.")
     if resolve_end_s is None:
         return CameraSource(name, kind, text)
     url, left_s = urlsplit(text), max(0.0, resolve_end_s - time.monotonic())
     try:
         address = resolve(url.hostname or "", url.port or _PORTS[scheme.lower()], False, left_s)
     except RefusedAddressError:
-        raise _WrongSourceError(CAMERA_SOURCE, "The address is not public.", _PRIVATE_HINT) from None
+        raise WrongSourceError(CAMERA_SOURCE, "The address is not public.", _PRIVATE_HINT) from None
     except (OSError, UnicodeError):  # of the name servers, or the time
-        raise _WrongSourceError(CAMERA_SOURCE, "The name can't be resolved.", "Correct the address.") from None
+        raise WrongSourceError(CAMERA_SOURCE, "The name can't be resolved.", "Correct the address.") from None
     return CameraSource(name, kind, _at(url, address).geturl(), url.netloc.rpartition("@")[2])
 
 
@@ -117,7 +123,8 @@ def _at(url: SplitResult, address: str) -> SplitResult:
 
 async def relay_cameras(connection: LiveConnection, start: LiveCamerasStart, calibration: Path) -> Outgoing:
     """Compute a live capture from cameras until the client's ``end``; raises ``SocketProblem`` if it can't begin."""
-    known = [camera["name"] for camera in json.loads(await run_in_threadpool(calibration.read_text))["cameras"]]
+    cameras = json.loads(await run_in_threadpool(calibration.read_text))["cameras"]
+    known = {camera["name"]: camera.get("size_px") for camera in cameras}
     content = {
         "calibration": str(calibration),
         "choices": {"profile": start.profile, "joints": start.joints},
@@ -151,20 +158,23 @@ async def record_cameras(
 async def _relayed(
     connection: LiveConnection,
     start: LiveCamerasStart | LiveRecordStart,
-    known: Sequence[str] | None,
+    known: Mapping[str, tuple[int, int] | None] | None,
     command: Sequence[str],
     content: dict[str, Any],
     folder: Path,
 ) -> "tuple[list[CameraSource], _CameraRelay]":
-    """Check the cameras, and relay a program that opens them to its end."""
+    """Check the cameras, and relay a program that opens them to its end; ``known``: sizes of calibrated cameras."""
     is_private = allows_private(connection.settings, connection.caller)
-    sources = await run_in_threadpool(read_cameras, start, known, is_private)
-    content["sources"] = [dataclasses.asdict(source) for source in sources]
+    require = partial(require_phone, connection.records)
+    sources = await run_in_threadpool(read_cameras, start, known, is_private, require)
     with connection.services.live_places.with_cameras():
-        async with camera_process(command, folder) as process:
-            await process.send(json.dumps(content).encode())
-            relay = _CameraRelay(connection, process, start, folder)
-            await relay.run()
+        async with phones_taken(connection, sources, known or {}) as opened:
+            pictures = [source.pictures for source in opened if source.pictures is not None]
+            content["sources"] = [dataclasses.asdict(source) for source in opened]
+            async with camera_process(command, folder, pictures) as process:
+                await process.send(json.dumps(content).encode())
+                relay = _CameraRelay(connection, process, start, folder)
+                await relay.run()
     return sources, relay
 
 

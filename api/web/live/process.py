@@ -104,8 +104,8 @@ async def _end(numbers: asyncio.StreamReader, ending: asyncio.StreamWriter, log_
 
 
 @contextlib.asynccontextmanager
-async def camera_process(command: Sequence[str], folder: Path) -> AsyncIterator[CaptureProcess]:
-    """Run a program that opens cameras, like ``capture_process``; its children end with it."""
+async def camera_process(command: Sequence[str], folder: Path, sockets: Sequence[int]) -> AsyncIterator[CaptureProcess]:
+    """Run a program that opens cameras, and gets some sockets, like ``capture_process``; its children end with it."""
     log_path = folder / "capture.log"
     with log_path.open("wb") as log:
         child = await asyncio.create_subprocess_exec(
@@ -114,6 +114,7 @@ async def camera_process(command: Sequence[str], folder: Path) -> AsyncIterator[
             stdout=asyncio.subprocess.PIPE,
             stderr=log,
             env=bare_environment() | {"TMPDIR": str(folder)},
+            pass_fds=sockets,
             start_new_session=True,
         )
     try:

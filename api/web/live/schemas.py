@@ -89,8 +89,8 @@ class LiveCameraIn(_Received):
 
     camera: str = Field(min_length=1, max_length=200, description="Name of the camera.", examples=["cam_1"])
     source: str = Field(min_length=1, max_length=2000, examples=["rtsp://192.168.0.11/stream"])
-    """Address of its stream, `rtsp://`, `rtsps://`, `http://` or `https://`, with user and password if it wants them;
-    or a `device` of `GET /v1/live/devices`."""
+    """Address of its stream, `rtsp://`, `rtsps://`, `http://` or `https://`, with user and password if it wants them; a
+    `device` of `GET /v1/live/devices`; or a phone of a recording, `phone://RECORDING_ID/NUMBER`."""
 
 
 class LiveCamerasStart(_Start):

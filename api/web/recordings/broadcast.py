@@ -1,7 +1,7 @@
 """Messages about recordings between API processes, by the broker's publish and subscribe.
 
 Nothing depends on them: rows are the truth, and every process polls the revisions of its open recordings. Messages make
-changes known at once, and carry what is no row: what phones say of themselves, and thumbnails. Of each kind only the
+changes known at once, and carry what is no row: what phones say of themselves, and pictures. Of each kind only the
 newest message of a phone waits to be sent, so that a slow broker delays no other phone.
 """
 
@@ -34,6 +34,8 @@ class RelayKind(Enum):
     PHONE = b"P"  # what is known of a phone, in JSON; an earlier connection of it ends
     THUMBNAIL = b"T"  # number of a phone, and a JPEG
     HOST = b"H"  # a host is connected, and wants thumbnails
+    LIVE = b"L"  # phones that are cameras of live captures, in JSON: calibrated sizes by their numbers
+    PICTURE = b"F"  # number of such a phone, and a packet with its picture
 
 
 OnMessage = Callable[[str, RelayKind, bytes], None]

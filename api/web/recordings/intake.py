@@ -13,6 +13,7 @@ from api.web.http.rates import Pace
 from api.web.http.websockets import TOO_LARGE, WRONG_DATA, SocketProblem, wrong_message
 from api.web.settings import Settings
 from pipeline.core.problems import request_codes
+from pipeline.run.live.packets import PICTURE_MAGIC
 
 _Result = TypeVar("_Result")
 
@@ -32,7 +33,7 @@ async def in_time(way: Awaitable[_Result], wait_s: float | None, what: str) -> _
 
 
 _Message = TypeVar("_Message")
-_MAX_THUMBNAIL_PX = 1024
+_MAX_SIDE_PX = 1024
 
 
 class RecordingIntake:
@@ -55,8 +56,12 @@ class RecordingIntake:
             per_s = self._settings.max_recording_messages_per_s
             raise SocketProblem(request_codes.RECORDING_TOO_FAST, f"At most {per_s:g} messages a second are allowed.")
         content: str | bytes = message["text"] if message.get("text") is not None else message["bytes"]
-        is_text = isinstance(content, str)
-        max_bytes = self._settings.max_recording_message_bytes if is_text else self._settings.max_thumbnail_bytes
+        if isinstance(content, str):
+            max_bytes = self._settings.max_recording_message_bytes
+        elif content.startswith(PICTURE_MAGIC):
+            max_bytes = self._settings.max_phone_picture_bytes
+        else:
+            max_bytes = self._settings.max_thumbnail_bytes
         if len(content) > max_bytes:
             raise too_large(max_bytes)
         return content
@@ -74,8 +79,8 @@ def parsed(content: str | bytes, adapter: TypeAdapter[_Message], models: Sequenc
 
 def require_jpeg(content: bytes) -> None:
     """Raise ``SocketProblem`` for bytes that are no JPEG, or one whose picture would fill the memory of hosts."""
-    if max(_jpeg_size_px(content), default=0) not in range(1, _MAX_THUMBNAIL_PX + 1):
-        detail = f"A thumbnail is a JPEG of at most {_MAX_THUMBNAIL_PX} x {_MAX_THUMBNAIL_PX} pixels."
+    if max(_jpeg_size_px(content), default=0) not in range(1, _MAX_SIDE_PX + 1):
+        detail = f"A picture is a JPEG of at most {_MAX_SIDE_PX} x {_MAX_SIDE_PX} pixels."
         raise SocketProblem(request_codes.RECORDING_THUMBNAIL, detail)
 
 

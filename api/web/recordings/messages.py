@@ -90,7 +90,7 @@ class PhoneStatus(_Received):
     """State of a phone, as it says every second or so."""
 
     type: Literal["status"]
-    state: Literal["idle", "ready", "recording", "stopping", "sending", "hidden", "failed"] = Field(
+    state: Literal["idle", "ready", "live", "recording", "stopping", "sending", "hidden", "failed"] = Field(
         description="What the phone does.", examples=["recording"]
     )
     track: PhoneTrack | None = Field(default=None, description="PhoneTrack of the camera, if there is one.")
@@ -243,7 +243,8 @@ class PhoneWelcome(ResponseModel):
     server_s: ServerTime
     takes: tuple[OfferedTake, ...]
     limits: dict[str, float] = Field(examples=[{"message_bytes": 16_384, "messages_per_s": 50.0, "idle_s": 30.0}])
-    """Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `messages_per_s`, `idle_s`."""
+    """Limits: `message_bytes`, `thumbnail_bytes`, `thumbnails_per_s`, `picture_bytes`, `pictures_per_s`,
+    `messages_per_s`, `idle_s`."""
     request_id: str = Field(examples=[ID])
 
 
@@ -285,6 +286,14 @@ class DeleteOut(ResponseModel):
 
     type: Literal["delete"] = "delete"
     take: int
+
+
+class LiveOut(ResponseModel):
+    """Beginning or end of pictures for live captures; a phone sends none until it is told."""
+
+    type: Literal["live"] = "live"
+    is_on: bool
+    size_px: tuple[int, int] | None = Field(description="Calibrated size of the camera; null: unknown.")
 
 
 class EndedOut(ResponseModel):
@@ -334,7 +343,8 @@ HOST_RECEIVED: tuple[type[BaseModel], ...] = (
     *(ClientPing, HostStart, HostStop, HostRename, HostRemove, HostUpload, HostDiscard),
 )
 PHONE_SENT: tuple[type[BaseModel], ...] = (
-    *(PhoneWelcome, Pong, StartOut, StopOut, RenameOut, UploadOut, DeleteOut, EndedOut, RecordingProblemOut),
+    *(PhoneWelcome, Pong, StartOut, StopOut, RenameOut, UploadOut, DeleteOut, LiveOut, EndedOut),
+    RecordingProblemOut,
 )
 HOST_SENT: tuple[type[BaseModel], ...] = (HostState, Pong, EndedOut, RecordingProblemOut)
 
@@ -346,8 +356,8 @@ _DESCRIPTION = """\
 A recording by phones. Phones offer the subprotocols `multicap.recording` and `mc.link.` with the secret of the
 recording's link behind it, and say `hello` first; hosts come with a key or the browser's cookie. Phones send small
 JPEGs of their pictures as messages of bytes; hosts get them behind the phone's number, an unsigned integer of two
-bytes, little-endian. All else is JSON. `/help/recording-protocol` describes the order of messages, limits and
-close codes.
+bytes, little-endian. For live captures phones send larger ones behind their times. All else is JSON.
+`/help/recording-protocol` describes the order of messages, limits and close codes.
 """
 _ADDRESS = "/v1/recordings/{recording_id}/connect"
 _PARAMETERS = {"recording_id": "Id of the recording."}
@@ -361,7 +371,10 @@ def describe_recordings() -> dict[str, Any]:
             address=_ADDRESS,
             received=PHONE_RECEIVED,
             sent=PHONE_SENT,
-            packed_received={"Thumbnail": "JPEG of the camera's picture, of at most 1,024 x 1,024 pixels."},
+            packed_received={
+                "Thumbnail": "JPEG of the camera's picture, of at most 1,024 x 1,024 pixels.",
+                "LivePicture": "`MCP1`, its time by the service's clock (double, little-endian), and such a JPEG.",
+            },
             security=("link",),
             parameters=_PARAMETERS,
         ),

@@ -16,6 +16,7 @@ from api.web.recordings.rooms import RecordingOver, Room, Side
 from api.web.recordings.schemas import VideoSettings
 from api.web.settings import Settings
 from pipeline.core.problems.request_codes import RECORDING_MESSAGE, RECORDING_TOO_FAST
+from pipeline.run.live.packets import PhonePicture
 from worker.store.model import phone_records
 from worker.store.tenant_records import TenantRecords
 
@@ -51,6 +52,8 @@ class PhoneConnection:
         self._websocket, self._room, self._records, self._settings = websocket, room, records, settings
         self._number, self._metrics = number, metrics
         self._thumbnails, self._changes = Pace(settings.max_thumbnails_per_s), Pace(_CHANGES_PER_S)
+        self._pictures = Pace(settings.max_phone_pictures_per_s)
+        self._live = messages.LiveOut(is_on=False, size_px=None)
         self._name = ""
         self._told: dict[int, _Told] = {}
 
@@ -75,6 +78,8 @@ class PhoneConnection:
                     "messages_per_s": settings.max_recording_messages_per_s,
                     "thumbnail_bytes": settings.max_thumbnail_bytes,
                     "thumbnails_per_s": settings.max_thumbnails_per_s,
+                    "picture_bytes": settings.max_phone_picture_bytes,
+                    "pictures_per_s": settings.max_phone_pictures_per_s,
                     "idle_s": settings.recording_idle_s,
                 },
                 request_id=self._websocket.state.request_id,
@@ -85,10 +90,14 @@ class PhoneConnection:
         """Take the phone's messages until it goes; raises ``SocketProblem`` or ``WebSocketDisconnect``."""
         while True:
             content = await intake.receive()
-            if isinstance(content, bytes):
-                self._show(content)
-            else:
+            if isinstance(content, str):
                 await self._take(content)
+            elif (picture := PhonePicture.decode(content)) is not None:
+                require_jpeg(picture.jpeg)
+                if self._pictures.has_room():
+                    self._room.take_picture(self._number, picture)
+            else:
+                self._show(content)
 
     async def send(self, side: Side) -> None:
         """Tell the phone what changes, until the recording is over for it; raises ``RecordingOver``."""
@@ -161,6 +170,11 @@ class PhoneConnection:
         if phone is not None and phone.name != self._name:
             self._name = phone.name
             news.append(messages.RenameOut(name=phone.name))
+        live_sizes = self._room.live_sizes()
+        live = messages.LiveOut(is_on=self._number in live_sizes, size_px=live_sizes.get(self._number))
+        if live != self._live:
+            self._live = live
+            news.append(live)
         for take in recording.takes:
             news += _take_news(take, self._told.get(take.number))
             self._told[take.number] = _Told.from_take(take)

@@ -3,19 +3,22 @@
 import asyncio
 import contextlib
 import json
+import socket
 import struct
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.web.http.websockets import LATER, SocketProblem
 from api.web.recordings.broadcast import RecordingRelay, RelayKind
+from api.web.recordings.intake import server_s
 from pipeline.core.problems.request_codes import RECORDING_BUSY
+from pipeline.run.live.packets import PhonePicture
 from worker.store.errors import NotFound
 from worker.store.model.phone_records import RecordingSession
 from worker.store.store import JobStore
@@ -70,6 +73,24 @@ class HostSide(Side):
     has_news: bool = True
 
 
+Size = tuple[int, int] | None
+"""Width and height in pixels that a phone's camera was calibrated at; ``None``: unknown."""
+
+
+class LiveTaker(NamedTuple):
+    """Camera of a live capture that takes the pictures of a phone."""
+
+    phone: int
+    size_px: Size
+    pictures: socket.socket  # to the process that decodes them
+
+    def take(self, picture: PhonePicture) -> None:
+        """Pass a picture on; while earlier ones wait, it is dropped."""
+        machine_s = picture.time_s - server_s() + time.monotonic()
+        with contextlib.suppress(OSError):  # full, or closed
+            self.pictures.send(PhonePicture(machine_s, picture.jpeg).encode(), socket.MSG_DONTWAIT)
+
+
 class Room:
     """A recording that is open at this process."""
 
@@ -78,6 +99,8 @@ class Room:
         self.phones: dict[int, Side] = {}
         self.hosts: set[HostSide] = set()
         self.live: dict[int, LivePhone] = {}
+        self._takers: list[LiveTaker] = []
+        self._live_elsewhere: dict[int, tuple[Size, float]] = {}  # with the times at which it was told
         self.num_entered = 0
         self.is_over = False
         self._hosts_elsewhere_s = -_OLD_S
@@ -146,6 +169,40 @@ class Room:
         if time.monotonic() < self._hosts_elsewhere_s + _OLD_S:
             self._relay.publish(self.recording.id, RelayKind.THUMBNAIL, number, packet)
 
+    @contextlib.contextmanager
+    def taking(self, taker: LiveTaker) -> Iterator[None]:
+        """Have pictures of a phone taken during the block."""
+        self._takers.append(taker)
+        self.tell()
+        self.wake_all()
+        try:
+            yield
+        finally:
+            self._takers.remove(taker)
+            self.wake_all()
+
+    def live_sizes(self) -> dict[int, Size]:
+        """Phones whose pictures are taken at the moment, with their calibrated sizes."""
+        return self._sizes_elsewhere() | self._sizes_here()
+
+    def _sizes_here(self) -> dict[int, Size]:
+        return {taker.phone: taker.size_px for taker in self._takers}
+
+    def _sizes_elsewhere(self) -> dict[int, Size]:
+        old_s = time.monotonic() - _OLD_S
+        return {number: size_px for number, (size_px, told_s) in self._live_elsewhere.items() if told_s > old_s}
+
+    def take_picture(self, number: int, picture: PhonePicture) -> None:
+        """Pass a picture of a phone on to live captures; without any it is dropped."""
+        self._pass_on(number, picture)
+        if number in self._sizes_elsewhere():
+            self._relay.publish(self.recording.id, RelayKind.PICTURE, number, _NUMBER.pack(number) + picture.encode())
+
+    def _pass_on(self, number: int, picture: PhonePicture) -> None:
+        for taker in self._takers:
+            if taker.phone == number:
+                taker.take(picture)
+
     def received(self, kind: RelayKind, content: bytes) -> None:
         """Take a message of another process; rows are read by the caller."""
         match kind:
@@ -158,6 +215,12 @@ class Room:
                 self._show(_NUMBER.unpack_from(content)[0], content)
             case RelayKind.HOST:
                 self._hosts_elsewhere_s = time.monotonic()
+            case RelayKind.LIVE:
+                for number, size_px in json.loads(content).items():
+                    self._live_elsewhere[int(number)] = (size_px and tuple(size_px), time.monotonic())
+                self.wake_all()
+            case RelayKind.PICTURE if (picture := PhonePicture.decode(content[_NUMBER.size :])) is not None:
+                self._pass_on(_NUMBER.unpack_from(content)[0], picture)
 
     def tell(self) -> None:
         """Tell other processes who is connected here, and forget what they told long ago."""
@@ -165,6 +228,10 @@ class Room:
             self._relay.publish(self.recording.id, RelayKind.PHONE, number, self.live[number].encode(number))
         if self.hosts:
             self._relay.publish(self.recording.id, RelayKind.HOST)
+        if self._takers:
+            self._relay.publish(self.recording.id, RelayKind.LIVE, content=json.dumps(self._sizes_here()).encode())
+        for side in self.phones.values():
+            side.wake.set()  # a live capture elsewhere may have ended
         old_s = time.monotonic() - _OLD_S
         for number, phone in self.live.items():
             if number not in self.phones and phone.is_connected and phone.told_s < old_s:

@@ -338,10 +338,10 @@ RECORDING_FIELDS = RECORDINGS.code("recording_fields", "recording")
 """Fields of a message are missing or wrong; `errors` lists all of them. | Correct the fields that `errors` lists, and
 connect again."""
 RECORDING_THUMBNAIL = RECORDINGS.code("recording_thumbnail", "recording")
-"""A message of bytes is no JPEG of at most 1,024 pixels a side, or comes from a host. | Send small JPEGs of the
-camera's picture, from phones alone."""
+"""A message of bytes is no JPEG of at most 1,024 pixels a side, has no finite time where it has one, or comes from a
+host. | Send small JPEGs of the camera's picture, from phones alone."""
 RECORDING_TOO_LARGE = RECORDINGS.code("recording_too_large", "recording")
-"""A message or a thumbnail has more bytes than the service accepts. | Keep to `limits` of the message `welcome`."""
+"""A message or a picture has more bytes than the service accepts. | Keep to `limits` of the message `welcome`."""
 RECORDING_TOO_FAST = RECORDINGS.code("recording_too_fast", "recording")
 """The client sends more messages a second than the service accepts. | Keep to `limits` of the message `welcome`."""
 RECORDING_IDLE = RECORDINGS.code("recording_idle", "recording")

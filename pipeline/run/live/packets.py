@@ -10,6 +10,7 @@ of an instant is a head and a record of each person.
 """
 
 import enum
+import math
 import struct
 from typing import BinaryIO, NamedTuple
 
@@ -43,7 +44,7 @@ def read_message(pipe: BinaryIO) -> bytes | None:
     return content if len(content) == num_bytes else None
 
 
-KEYPOINTS_MAGIC, INSTANT_MAGIC = b"MCK1", b"MCI1"
+KEYPOINTS_MAGIC, INSTANT_MAGIC, PICTURE_MAGIC = b"MCK1", b"MCI1", b"MCP1"
 """First bytes of packets; the digit is the version of the form."""
 FLOAT_BYTES = 4
 """Bytes of a coordinate, a score, or a component of a quaternion: IEEE 754, single precision."""
@@ -90,6 +91,29 @@ class KeypointsHead(NamedTuple):
     def packet_body(packet: bytes) -> memoryview:
         """Coordinates and scores of a packet."""
         return memoryview(packet)[_KEYPOINTS_HEAD.size :]
+
+
+_PICTURE_HEAD = struct.Struct("<4sd")
+
+
+class PhonePicture(NamedTuple):
+    """Picture of a phone: a packet is a head and the JPEG."""
+
+    time_s: float  # Time at which it was taken: of phones by the service's clock, to a stream's process of its machine
+    jpeg: bytes
+
+    def encode(self) -> bytes:
+        """Bytes of the packet."""
+        return _PICTURE_HEAD.pack(PICTURE_MAGIC, self.time_s) + self.jpeg
+
+    @classmethod
+    def decode(cls, packet: bytes) -> "PhonePicture | None":
+        """Picture of a packet; ``None`` if it is no packet of a picture, or its time is not finite."""
+        if len(packet) < _PICTURE_HEAD.size:
+            return None
+        magic, time_s = _PICTURE_HEAD.unpack_from(packet)
+        is_right = magic == PICTURE_MAGIC and math.isfinite(time_s)
+        return cls(time_s, packet[_PICTURE_HEAD.size :]) if is_right else None
 
 
 class Dropped(NamedTuple):

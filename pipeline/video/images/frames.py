@@ -27,7 +27,7 @@ def decode_images(path: Path, is_wanted: Callable[[int], bool]) -> Iterator[Vide
         for frame in images.frames:
             if is_wanted(frame):
                 with suppress(ArchiveError, OSError):
-                    if (image := _decode(images.read(frame))) is not None:
+                    if (image := decode_image(images.read(frame))) is not None:
                         image.pts, image.time_base = frame, Fraction(1)
                         yield image
 
@@ -38,7 +38,7 @@ def wanted_images(first: int, last: int, only: Collection[int] | None) -> Callab
     return lambda frame: first <= frame <= last and (chosen is None or frame in chosen)
 
 
-def _decode(content: bytes) -> VideoFrame | None:
+def decode_image(content: bytes) -> VideoFrame | None:
     """Decode an image; ``None`` if it is damaged or of another format."""
     name = next((decoder for start, decoder in _DECODERS.items() if content.startswith(start)), None)
     if name is None:

@@ -7,7 +7,7 @@ import { RECORD } from "../../shared/strings/record.js";
 const GOOD_CLOCK_S = 0.01;
 const LOW_BATTERY = 0.15;
 const LOW_BYTES = 500e6;
-const PHONE_TONES = { idle: "wait", ready: "good", recording: "bad", stopping: "wait", sending: "run", hidden: "warn", failed: "bad", joining: "wait", away: "mute" };
+const PHONE_TONES = { idle: "wait", ready: "good", live: "run", recording: "bad", stopping: "wait", sending: "run", hidden: "warn", failed: "bad", joining: "wait", away: "mute" };
 
 /** Words and tone of a phone's state; `live` is what is known of it at the moment. */
 export function phoneState(live) {

@@ -215,9 +215,63 @@ export class Thumbnails {
       this.numSkipped += 1;
       return;
     }
-    const [across, down] = smallSize(width, height);
-    if (this.#canvas.width !== across || this.#canvas.height !== down) Object.assign(this.#canvas, { width: across, height: down });
-    this.#canvas.getContext("2d").drawImage(this.video, 0, 0, across, down);
+    drawn(this.#canvas, this.video, smallSize(width, height));
     this.#canvas.toBlob((blob) => { if (blob && blob.size <= MAX_BYTES) this.send(blob); }, "image/jpeg", QUALITY);
+  }
+}
+
+function drawn(canvas, video, [width, height]) {
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  canvas.getContext("2d").drawImage(video, 0, 0, width, height);
+}
+
+// Pictures for live captures, with the times at which the camera took them.
+
+const [LIVE_SIDE_PX, MAX_SIDE_PX] = [640, 1024]; // usual, and what the service takes
+const [LIVE_QUALITY, NO_FRAME_S, EARLY_S] = [0.8, 1, 0.01]; // frames come a little before or behind their time
+
+/** Size of a live picture, in the exact proportions of the video where they allow it: to others a calibration can't be scaled. */
+export function liveSize(width, height) {
+  const divisor = (one, other) => (other ? divisor(other, one % other) : one);
+  const common = divisor(width, height);
+  const [across, down] = [width / common, height / common];
+  const times = Math.min(common, Math.max(1, Math.floor(LIVE_SIDE_PX / Math.max(across, down))));
+  if (times * Math.max(across, down) <= MAX_SIDE_PX) return [times * across, times * down];
+  return [width, height].map((side) => Math.round((LIVE_SIDE_PX * side) / Math.max(width, height)));
+}
+
+/** Packet of a picture, a JPEG, with its time by the service's clock. */
+export function livePacket(timeS, jpeg) {
+  const time = new DataView(new ArrayBuffer(8));
+  time.setFloat64(0, timeS, true);
+  return new Blob(["MCP1", time, jpeg]);
+}
+
+/**
+ * Sends pictures of a `<video>` until it is stopped, at a rate that the phone can hold: the next one is taken when the last one was
+ * compressed. `send(packet)` may refuse one; it is then left out. While `isBusy()`, as a take is recorded, late frames are left alone.
+ */
+export class LivePictures {
+  #canvas = document.createElement("canvas");
+  #isStopped = false;
+
+  constructor(video, frames, { rateHz, maxBytes, clock, isBusy, send }) {
+    Object.assign(this, { video, frames, rateHz, maxBytes, clock, isBusy, send });
+    this.#run();
+  }
+
+  stop() { this.#isStopped = true; }
+
+  async #run() {
+    let nextS = -Infinity;
+    while (!this.#isStopped) {
+      const frame = await this.frames.frame(({ timeS }) => timeS >= nextS, NO_FRAME_S);
+      if (frame === null || this.#isStopped || !this.clock.isKnown || (this.isBusy() && this.frames.isLate)) continue;
+      nextS = frame.timeS + 1 / this.rateHz - EARLY_S;
+      drawn(this.#canvas, this.video, liveSize(this.video.videoWidth, this.video.videoHeight));
+      const jpeg = await new Promise((resolve) => { this.#canvas.toBlob(resolve, "image/jpeg", LIVE_QUALITY); });
+      const packet = livePacket(this.clock.serverS(frame.timeS), jpeg ?? "");
+      if (jpeg && packet.size <= this.maxBytes && !this.#isStopped) this.send(packet);
+    }
   }
 }

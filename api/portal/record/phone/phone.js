@@ -4,7 +4,7 @@ import { PHONE } from "../../shared/strings/phone.js";
 import { RECORD } from "../../shared/strings/record.js";
 import { ServerClock } from "../service_clock.js";
 import { cleanName, RoomConnection } from "../room.js";
-import { adjust, cameraProblem, trackFacts, holdStill, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
+import { adjust, cameraProblem, trackFacts, holdStill, LivePictures, openCamera, PreviewFrames, release, Thumbnails } from "./camera.js";
 import { describeDevice, keepIdentity, readBattery, readFreeBytes, WakeLock } from "./identity.js";
 import { fileMessage, findLosses, stoppedMessage, TakeJournal } from "./journal.js";
 import { ClipSender } from "./sender.js";
@@ -28,6 +28,7 @@ export class PhoneCamera extends EventTarget {
   #wake = null;
   #timers = [];
   #thumbnails = null;
+  #pictures = null; // for a live capture
   #changedAt = 0;
   clock = new ServerClock();
   room = null;
@@ -69,6 +70,7 @@ export class PhoneCamera extends EventTarget {
     if (this.problem) return "failed";
     if (this.recorder) return this.isStopping ? "stopping" : "recording";
     if (document.hidden) return "hidden";
+    if (this.#pictures) return "live";
     if (this.sender.progress) return "sending";
     return this.track ? "ready" : "idle";
   }
@@ -151,6 +153,7 @@ export class PhoneCamera extends EventTarget {
     else if (type === "welcome") await this.#welcomed(message);
     else if (type === "start") await this.#begin(message.take, message.at_server_s, message);
     else if (type === "stop") await this.#stop(message.take, message.at_server_s);
+    else if (type === "live") await this.#live(message);
     else if (type === "rename") this.#named(message.name);
     else if (type === "upload") this.#wanted(message.take);
     else if (type === "delete") await this.#delete(message.take);
@@ -171,6 +174,7 @@ export class PhoneCamera extends EventTarget {
   async #welcomed(message) {
     this.welcome = message;
     this.refusal = null;
+    this.#stopPictures(); // the service asks again for what it wants
     this.#named(message.name);
     this.takes = new Map(message.takes.map((take) => [take.number, take]));
     for (const take of message.takes) {
@@ -229,13 +233,32 @@ export class PhoneCamera extends EventTarget {
     this.isStopping = false;
     if (recorder.problem) this.problem = problemOf([PHONE.stopped(recorder.problem.message), PHONE.stoppedHint]);
     await this.#readParts();
-    if (this.track) release(this.track);
+    if (this.track && !this.#pictures) release(this.track);
     if (recorder.isTurned) this.room.again(); // the service answers with the take, and another part begins
     else if (this.#takeParts(recorder.take).length) {
       this.#tellStopped(recorder.take);
       if (this.takes.get(recorder.take)?.is_upload_wanted) this.#wanted(recorder.take);
     }
     this.#changed();
+  }
+
+  // A live capture takes this phone's pictures from now on, or no longer. The camera shows what it was calibrated with.
+  async #live({ is_on: isOn, size_px: sizePx }) {
+    this.#stopPictures();
+    const { track, clock } = this;
+    if (isOn && track) {
+      const { picture_bytes: maxBytes, pictures_per_s: rateHz } = this.welcome.limits;
+      this.#pictures = new LivePictures(this.video, this.frames, { rateHz, maxBytes, clock, isBusy: () => this.recorder !== null, send: (packet) => this.room.sendPicture(packet) });
+    }
+    if (!track || this.recorder) return; // the take has settings of its own
+    if (!isOn) return release(track);
+    if (sizePx) await adjust(track, { ...FIRST_SETTINGS, width: sizePx[0], height: sizePx[1] });
+    this.held = await holdStill(track);
+  }
+
+  #stopPictures() {
+    this.#pictures?.stop();
+    this.#pictures = null;
   }
 
   get #isUpright() {
@@ -334,6 +357,7 @@ export class PhoneCamera extends EventTarget {
 
   #closeCamera() {
     this.#thumbnails?.stop();
+    this.#stopPictures();
     this.frames?.close();
     for (const track of this.stream?.getTracks() ?? []) track.stop();
     this.stream = this.frames = this.#thumbnails = null;

@@ -12,7 +12,7 @@ import { readIdentity } from "./identity.js";
 import { TakeJournal } from "./journal.js";
 import { PhoneCamera } from "./phone.js";
 
-const STATE_TONES = { idle: "wait", ready: "good", recording: "bad", stopping: "wait", sending: "run", hidden: "wait", failed: "bad" };
+const STATE_TONES = { idle: "wait", ready: "good", live: "run", recording: "bad", stopping: "wait", sending: "run", hidden: "wait", failed: "bad" };
 const TICK_MS = 250;
 
 class PhoneView {
@@ -77,7 +77,7 @@ class PhoneView {
 
   #overlay() {
     const { recorder, clock: service, takes, isStopping, track } = this.#phone;
-    if (!recorder) return track ? html`<p class="phone-over">${this.#state === "ready" ? PHONE.readyHint : ""}</p>` : nothing;
+    if (!recorder) return track ? html`<p class="phone-over">${PHONE.stateHints[this.#state] ?? ""}</p>` : nothing;
     const take = takes.get(recorder.take);
     const passedS = service.serverS(performance.now() / 1000) - take.start_s;
     const words = passedS < 0 ? PHONE.startsIn(Math.ceil(-passedS)) : isStopping ? PHONE.stopping : clock(passedS);

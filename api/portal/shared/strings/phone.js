@@ -2,7 +2,7 @@
 
 export const PHONE = {
   title: "Phone as a camera",
-  states: { idle: "No camera", ready: "Ready", recording: "Recording", stopping: "Stopping", sending: "Sending", hidden: "Hidden", failed: "Problem" },
+  states: { idle: "No camera", ready: "Ready", live: "Live", recording: "Recording", stopping: "Stopping", sending: "Sending", hidden: "Hidden", failed: "Problem" },
   ends: {
     recording: ["The recording is over", "The host ended it, or its time is over."],
     removed: ["The host has removed this phone", "Ask the host for a new link."],
@@ -10,7 +10,7 @@ export const PHONE = {
     link: ["This link has ended", "Ask the host for a new link."],
   },
   unsent: (clips) => `Not sent, still on this phone: ${clips}.`,
-  readyHint: "Ready. The host starts the take.",
+  stateHints: { ready: "Ready. The host starts the take.", live: "Live. The service gets this picture now." },
   startsIn: (seconds) => `starts in ${seconds}`,
   stopping: "stopping",
   running: (name, state) => `${name} · ${state}`,

@@ -39,7 +39,7 @@ export const RECORD = {
   removeOf: (name) => `Remove ${name}`,
   removing: { title: (name) => `Remove ${name}?`, text: "It can't come back. Its sent clips stay.", action: "Remove the phone" },
   phoneStates: {
-    idle: "no camera", ready: "ready", recording: "recording", stopping: "stopping", sending: "sending", hidden: "in background", failed: "problem",
+    idle: "no camera", ready: "ready", live: "live", recording: "recording", stopping: "stopping", sending: "sending", hidden: "in background", failed: "problem",
     away: "not connected", joining: "joining",
   },
   battery: (percent) => `battery ${percent}`,

@@ -44,6 +44,7 @@ class StreamProcess:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 env=child_environment(),
+                pass_fds=() if request.pictures is None else (request.pictures,),
                 bufsize=0,
             )
         self._received = b""
@@ -197,7 +198,7 @@ class CameraFeed:
         record: str | None = None,
     ) -> None:
         self._camera, self._source, self._num_slots, self._events = camera, source, num_slots, events
-        self._request = StreamRequest(source.kind, source.address, size_px, source.host, record)
+        self._request = StreamRequest(source.kind, source.address, size_px, source.host, record, source.pictures)
         self._may_end = source.kind == "file"
         self._format: PictureFormat | None = None
         self._process: StreamProcess | None = None

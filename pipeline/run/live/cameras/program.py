@@ -2,7 +2,8 @@
 
 Messages go over stdin and stdout as ``pipeline.run.live.packets`` says. The start is an object with ``calibration``,
 the path of a file in metres, Z up; ``sources``, the fields of a ``CameraSource`` each; ``choices`` of the networks;
-``sync_s``; ``vmc``, receivers; ``format`` of the instants; and ``keep``. The capture ends when stdin is closed.
+``sync_s``; ``vmc``, receivers; ``format`` of the instants; and ``keep``, with which the file gets the cameras of the
+keypoints. The capture ends when stdin is closed.
 """
 
 import json
@@ -17,6 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from pipeline.calibration.registry import read_calibration
+from pipeline.calibration.write import encode
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, PipelineError
 from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, JointSet
@@ -42,8 +44,8 @@ def layout_of(joints: JointSet) -> KeypointLayout:
 class _Answers(LiveListener):
     """Answers of the process: the capture as the service passes it on."""
 
-    def __init__(self, outgoing: BinaryIO, is_packed: bool, is_kept: bool) -> None:
-        self._outgoing, self._is_packed, self._is_kept = outgoing, is_packed, is_kept
+    def __init__(self, outgoing: BinaryIO, is_packed: bool, kept: Path | None) -> None:
+        self._outgoing, self._is_packed, self._kept = outgoing, is_packed, kept
         self.receivers = LiveListener()
         self._figures = StatusFigures()
         self._places: dict[str, int] = {}
@@ -60,12 +62,14 @@ class _Answers(LiveListener):
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         self._layout = layout_of(joints)
         self._places = {camera.name: place for place, camera in enumerate(cameras)}
+        if self._kept is not None:  # keypoints are in pixels of the pictures, to which the cameras were fitted
+            self._kept.write_bytes(encode(cameras))
         self.send_json(
             CaptureAnswer.READY, ready_document(cameras, joints, frame_rate_hz) | {"layout": self._layout.name}
         )
 
     def take(self, camera: Camera, frame: DetectedFrame) -> None:
-        if not self._is_kept:
+        if self._kept is None:
             return
         shape = len(frame.score), len(self._layout.points)
         points_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
@@ -101,7 +105,8 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
     if (content := read_message(incoming)) is None:
         return 0
     start = json.loads(content)
-    answers = _Answers(outgoing, start["format"] == "packed", start["keep"])
+    kept = Path(start["calibration"]) if start["keep"] else None
+    answers = _Answers(outgoing, start["format"] == "packed", kept)
     try:
         _capture(start, answers, incoming)
     except InputError as refused:

@@ -13,8 +13,8 @@ from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE
 from pipeline.core.problems.session_codes import VIDEO_MISSING
 
-SourceKind = Literal["rtsp", "http", "device", "file"]
-"""Kind of a source. A file is played at its own pace."""
+SourceKind = Literal["rtsp", "http", "device", "file", "phone"]
+"""Kind of a source. A file is played at its own pace; a phone's pictures come from the service."""
 
 SCHEMES: dict[str, SourceKind] = {"rtsp": "rtsp", "rtsps": "rtsp", "http": "http", "https": "http"}
 """Kind of a source by the scheme of its address."""
@@ -29,6 +29,7 @@ class CameraSource:
     kind: SourceKind
     address: str  # Address with user and password, if there are any, or path
     host: str | None = None  # Host and port of the address, where it has a checked IP address in their place
+    pictures: int | None = None  # Open socket that brings the packets of a phone's pictures
 
     @property
     def shown(self) -> str:

@@ -13,12 +13,13 @@ import itertools
 import json
 import mmap
 import os
+import socket
 import statistics
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,13 +38,17 @@ from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
 from pipeline.core.runtime.confinement import ChildLimits, confine, tell_ready
 from pipeline.run.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.cameras.sources import SourceKind
+from pipeline.run.live.packets import PhonePicture
 from pipeline.video.container import CODECS, DECODE_ERRORS, display_pts, first_video, open_container
 from pipeline.video.decode_process import rgb_converter, write_rows
+from pipeline.video.images.frames import decode_image
 from pipeline.video.orientation import display_orientation
 from pipeline.video.probe import square_pixels
 
 # Longest waits: for the connection with its first packets, and for the next packet.
 _OPEN_S, _READ_S = 10.0, 5.0
+# More than a packet of a picture has.
+_PICTURE_BYTES = 2**18
 # Frames by which the rate of a file is known.
 _NUM_MEASURED = 50
 _NETWORK = {"fflags": "nobuffer", "analyzeduration": "2000000", "max_delay": "200000"}
@@ -71,6 +76,7 @@ class StreamRequest(NamedTuple):
     size_px: tuple[int, int]  # Size of the pictures by the calibration, which devices are asked for
     host: str | None = None  # Host of the address, where it has an IP address in its place
     record: str | None = None  # New file that gets all frames, up to a message ``stop``; ``None``: none
+    pictures: int | None = None  # Open socket that brings a phone's pictures
 
 
 class _Taken(NamedTuple):
@@ -93,6 +99,7 @@ class _Stream:
         self._is_started = threading.Event()
         self._to_rgb: Graph | None = None
         self._size_px = (0, 0)
+        self._aspect: Fraction | None = None  # of a pixel; ``None``: the stream states none
         self._square_width = 0
         self._picture: mmap.mmap | None = None
 
@@ -122,9 +129,8 @@ class _Stream:
     def decode(self) -> None:
         """Decode to the end of the stream, and say how it ended."""
         try:
-            with _opened(self._request) as container:
-                video = _find_video(container)
-                self._record(container, video) if self._request.record else self._show(container, video)
+            with self._frames() as timed:
+                self._record(timed) if self._request.record else self._show(timed)
         except UnusableError as error:
             _say_end(error)
         except MemoryError:
@@ -134,18 +140,28 @@ class _Stream:
         else:
             _say("ended")
 
-    def _record(self, container: InputContainer, stream: VideoStream) -> None:
+    @contextmanager
+    def _frames(self) -> Iterator[Iterator[tuple[float, VideoFrame]]]:
+        """Open the stream during the block; its frames with the times at which they were taken, which ascend."""
+        if self._request.pictures is None:
+            with _opened(self._request) as container:
+                yield self._timed_frames(container, _find_video(container))
+        else:
+            with socket.socket(fileno=self._request.pictures) as pictures:
+                yield self._timed_pictures(pictures)
+
+    def _record(self, timed: Iterable[tuple[float, VideoFrame]]) -> None:
         """Write the frames to a file, at the times at which they were taken."""
         first_s: float | None = None
         with av.open(str(self._request.record), "w", format="matroska") as file:
             target = file.add_stream("libx264", options=_RECORDED)
-            for time_s, frame in self._timed_frames(container, stream):
+            for time_s, frame in timed:
                 self._require_size(frame)
                 if first_s is None:
                     first_s = time_s
                     target.width, target.height = self._size_px
                     target.pix_fmt = "yuv420p" if all(side % 2 == 0 for side in self._size_px) else "yuv444p"
-                    target.sample_aspect_ratio = stream.sample_aspect_ratio or Fraction(1)
+                    target.sample_aspect_ratio = self._aspect or Fraction(1)
                     target.codec_context.time_base = _RECORDED_TICK
                 written = frame.reformat(format=target.pix_fmt)
                 written.pts, written.time_base = round((time_s - first_s) / _RECORDED_TICK), _RECORDED_TICK
@@ -162,9 +178,9 @@ class _Stream:
                 session_codes.VIDEO_CHANGES_SIZE, "The size of the pictures has changed.", "Start again."
             )
 
-    def _show(self, container: InputContainer, stream: VideoStream) -> None:
+    def _show(self, timed: Iterable[tuple[float, VideoFrame]]) -> None:
         """Make each frame the newest one when it was decoded, and of a file when its time has come."""
-        for time_s, frame in self._timed_frames(container, stream):
+        for time_s, frame in timed:
             self._require_size(frame)
             time.sleep(max(0.0, time_s - time.monotonic()))
             self._newest = _Taken(self._number, time_s, frame)
@@ -172,10 +188,10 @@ class _Stream:
         if self._newest is None:
             raise UnusableError(session_codes.VIDEO_UNREADABLE, "No picture of the stream can be decoded.")
 
-    def _open(self, frame: VideoFrame, stream: VideoStream) -> None:
+    def _open(self, frame: VideoFrame, aspect: Fraction | None, rate_hz: float) -> None:
         """Tell the size of the pictures; of a file wait for its start."""
-        self._size_px = frame.width, frame.height
-        self._square_width, _ = square_pixels(frame.width, stream.sample_aspect_ratio)
+        self._size_px, self._aspect = (frame.width, frame.height), aspect
+        self._square_width, _ = square_pixels(frame.width, aspect)
         self._newest = _Taken(0, time.monotonic(), frame)
         rotation_deg, is_mirrored = display_orientation(frame)
         _say(
@@ -184,13 +200,30 @@ class _Stream:
             square_width=self._square_width,
             rotation_deg=rotation_deg,
             is_mirrored=is_mirrored,
-            rate_hz=_rate_hz(self._request) if self._request.kind == "file" else float(stream.average_rate or 0),
+            rate_hz=_rate_hz(self._request) if self._request.kind == "file" else rate_hz,
         )
         if self._request.kind == "file":
             self._is_started.wait()
 
+    def _timed_pictures(self, pictures: socket.socket) -> Iterator[tuple[float, VideoFrame]]:
+        """Frames of a phone, which states their times."""
+        last_s = -float("inf")
+        pictures.settimeout(_OPEN_S)
+        try:
+            while picture := PhonePicture.decode(pictures.recv(_PICTURE_BYTES)):
+                self._number += 1
+                time_s = min(picture.time_s, time.monotonic())
+                if time_s > last_s and (frame := decode_image(picture.jpeg)) is not None:
+                    last_s = time_s
+                    if self._newest is None:
+                        self._open(frame, None, 0.0)
+                        pictures.settimeout(_READ_S)
+                    yield time_s, frame
+        except TimeoutError:
+            raise UnusableError(STREAM_SILENT, "The phone sends no pictures.", "Keep its page in front.") from None
+
     def _timed_frames(self, container: InputContainer, stream: VideoStream) -> Iterator[tuple[float, VideoFrame]]:
-        """Frames with the times at which they were taken, which ascend."""
+        """Frames of a container."""
         tick_s = float(stream.time_base or Fraction(1, 1000))
         has_times = container.format.name not in _WITHOUT_TIMES
         clock: CaptureClock | None = None
@@ -207,7 +240,7 @@ class _Stream:
                 pts = display_pts(frame)
                 stamp_s = pts * tick_s if has_times and pts is not None else now_s
                 if self._newest is None:
-                    self._open(frame, stream)
+                    self._open(frame, stream.sample_aspect_ratio, float(stream.average_rate or 0))
                 if clock is None:
                     clock = PlaybackClock(self._start_s or now_s, stamp_s)
                 time_s = clock.capture_s(stamp_s)

@@ -6,7 +6,7 @@ import test from "node:test";
 import { boardName } from "../../../../api/portal/record/board/charuco.js";
 import { isOfThisMachine } from "../../../../api/portal/record/room.js";
 import { bestVideo, clipLosses, clipState, commonVideos, phoneFacts, phoneState, takeDurationS, videoWords } from "../../../../api/portal/record/host/state_words.js";
-import { adjust, trackFacts, heldConstraints, smallSize } from "../../../../api/portal/record/phone/camera.js";
+import { adjust, trackFacts, heldConstraints, LivePictures, livePacket, liveSize, smallSize } from "../../../../api/portal/record/phone/camera.js";
 import { describeDevice, readJoin } from "../../../../api/portal/record/phone/identity.js";
 import { bitsPerS, fileEnding } from "../../../../api/portal/record/phone/take_recorder.js";
 
@@ -64,6 +64,37 @@ test("sizes of files and of pictures", () => {
   assert.equal(bitsPerS({ width: 640, height: 480, frameRate: 25 }), 4_000_000);
   assert.equal(fileEnding("video/mp4;codecs=avc1"), "mp4");
   assert.deepEqual(smallSize(1080, 1920), [135, 240]);
+});
+
+test("live pictures have the proportions of the camera, and at most 640 pixels a side", () => {
+  const sizes = [[1920, 1080], [1080, 1920], [4032, 3024], [1280, 960], [384, 216], [1366, 768], [1918, 1078], [1921, 1081]];
+  assert.deepEqual(sizes.map(([width, height]) => liveSize(width, height)), [[640, 360], [360, 640], [640, 480], [640, 480], [384, 216], [683, 384], [548, 308], [640, 360]]);
+});
+
+test("a live picture has its time before it", async () => {
+  const packet = Buffer.from(await livePacket(12.5, new Blob([new Uint8Array([255, 216])])).arrayBuffer());
+  assert.equal(packet.toString("hex"), `${Buffer.from("MCP1").toString("hex")}0000000000002940ffd8`);
+});
+
+test("live pictures come at the asked rate, with times of the service, and none that is too large", async () => {
+  const sent = [];
+  const drawn = { drawImage: () => null };
+  const jpegs = [10, 10, 500, 10];
+  globalThis.document = { createElement: () => ({ getContext: () => drawn, toBlob: (resolve) => resolve(new Blob([new Uint8Array(jpegs.shift() ?? 10)])) }) };
+  let pictures;
+  const times = Array.from({ length: 13 }, (_, number) => number / 30);
+  const frames = { isLate: true, frame: async (wanted) => {
+    while (times.length && !wanted({ timeS: times[0] })) times.shift();
+    if (!times.length) pictures.stop();
+    return times.length ? { timeS: times.shift() } : null;
+  } };
+  const clock = { isKnown: true, serverS: (timeS) => 1000 + timeS };
+  const done = new Promise((resolve) => { setTimeout(resolve, 50); });
+  pictures = new LivePictures({ videoWidth: 1920, videoHeight: 1080 }, frames, { rateHz: 10, maxBytes: 100, clock, isBusy: () => false, send: (packet) => sent.push(packet) });
+  await done;
+  const read = async (packet) => new DataView(await packet.arrayBuffer()).getFloat64(4, true);
+  assert.deepEqual((await Promise.all(sent.map(read))).map((timeS) => Math.round(100 * (timeS - 1000)) / 100), [0, 0.1, 0.3, 0.4]);
+  delete globalThis.document;
 });
 
 test("a phone's state and facts as words", () => {

@@ -15,8 +15,10 @@ import pytest
 from api.web.http.websockets import SocketProblem
 from api.web.live import cameras
 from api.web.live.cameras import read_cameras
+from api.web.live.phones import WrongSourceError
 from api.web.live.schemas import LiveCamerasStart
 from api.web.settings import Settings
+from pipeline.core.problems.finding_codes import CAMERA_SOURCE
 from tests.api.conftest import Live, running
 from tests.api.web.live.conftest import LiveSocket, opened
 from tests.api.web.live.messages import CALIBRATION
@@ -55,10 +57,14 @@ def start(*sources: str, **changes: Any) -> LiveCamerasStart:
     return LiveCamerasStart.model_validate_json(json.dumps(start_message(*sources, **changes)))
 
 
+def no_phone(_source: str) -> None:
+    raise WrongSourceError(CAMERA_SOURCE, "There is no such recording, or it has ended.", None)
+
+
 def refusals(given: LiveCamerasStart, is_private: bool) -> list[tuple[str | None, str]]:
     """Pointer and message of each problem of the cameras."""
     with pytest.raises(SocketProblem) as refused:
-        read_cameras(given, ["left", "right"], is_private)
+        read_cameras(given, ["left", "right"], is_private, no_phone)
     return [(item.pointer, item.message) for item in refused.value.errors]
 
 
@@ -69,7 +75,7 @@ def look_up(*answers: str) -> Callable[..., list[tuple[Any, ...]]]:
 def test_public_address_is_opened_as_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "getaddrinfo", look_up("10.0.0.1", "8.8.8.8"))
     first, second = read_cameras(
-        start("rtsp://me:secret@cam.example:8554/a?b", "https://cam.example/v"), ["left", "right"], False
+        start("rtsp://me:secret@cam.example:8554/a?b", "https://cam.example/v"), ["left", "right"], False, no_phone
     )
     assert (first.kind, first.address, first.host) == (
         "rtsp",
@@ -112,7 +118,7 @@ def test_all_problems_come_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ("/cameras/2/source", "Streams of ftp:// are not supported."),
         ("/vmc", "The service sends nothing by VMC."),
     ]
-    device, stream = read_cameras(start("/dev/video0", "rtsp://127.0.0.1/v"), ["left", "right"], True)
+    device, stream = read_cameras(start("/dev/video0", "rtsp://127.0.0.1/v"), ["left", "right"], True, no_phone)
     assert (device.kind, device.address) == ("device", "/dev/video0")
     assert (stream.address, stream.host) == ("rtsp://127.0.0.1/v", None)
 
@@ -126,7 +132,7 @@ def test_mutated_addresses_are_refused_or_public(monkeypatch: pytest.MonkeyPatch
         for _ in range(chance.randint(1, 5)):
             text[chance.randrange(len(text))] = chance.choice(letters)
         with pytest.raises(SocketProblem):
-            read_cameras(start("".join(text), "http://127.0.0.1/"), ["left", "right"], False)
+            read_cameras(start("".join(text), "http://127.0.0.1/"), ["left", "right"], False, no_phone)
 
 
 def test_names_of_all_cameras_share_one_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
