@@ -19,7 +19,7 @@ def is_running(pid: int) -> bool:
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="reads /proc")
 def test_children_of_process_end_with_it(tmp_path: Path) -> None:
     async def started() -> int:
-        async with camera_process(["sh", "-c", "sleep 600 & echo $!; wait"], tmp_path) as process:
+        async with camera_process(["sh", "-c", "sleep 600 & echo $!; wait"], tmp_path, []) as process:
             return int(await process.reader.readline())
 
     child = asyncio.run(started())
