@@ -295,8 +295,8 @@ def _session(
     has_animals = any(map(len, (rows for points in own_by_camera.values() for rows in points.of_animals)))
     if has_animals:
         message = (
-            "Shoulders or hips have no point: rows are followed as animals, by cross-view tracking. They get points in "
-            "3D with deviations, and no skeleton fit, joint angles, identity, or clustering."
+            "Shoulders or hips have no point: rows are followed as animals. They get points in 3D with deviations, and "
+            "no skeleton fit, joint angles, or identity; clustering needs a file with their bones."
         )
         hint = "If they are people, name the points like left_shoulder and right_hip."
         findings.append(Finding(KEYPOINTS_FORM, message, hint=hint))

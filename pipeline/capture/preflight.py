@@ -2,9 +2,10 @@
 
 ``python -m pipeline.capture.preflight (--videos FILE... [--clock CLOCK] [--frame-rate HZ] | --keypoints ZIP...
 [--timestamps FILE] [--frame-rate HZ]) --calibration FILE [--recordings JSON] [--units UNITS] [--up AXIS]
-[--layout LAYOUT] [--pair-by-order] [--laboratory FILE]``, or ``--points FILE... [--names JSON] [--frame-rate HZ]
-[--units UNITS] [--up AXIS]``, prints one JSON object: the session's report, or ``{"problems": [...]}`` with exit code
-2. So a caller can check a session without loading the numeric libraries, and without opening untrusted files itself.
+[--layout LAYOUT] [--pair-by-order] [--own_points FILE] [--laboratory FILE]``, or ``--points FILE... [--names JSON]
+[--frame-rate HZ] [--units UNITS] [--up AXIS]``, prints one JSON object: the session's report, or ``{"problems":
+[...]}`` with exit code 2. So a caller can check a session without loading the numeric libraries, and without opening
+untrusted files itself.
 ``--record FILE`` stores the opened session, so that the files need not be examined again. ``--thumbnails FOLDER`` also
 checks the cameras against each other and a few pictures of each video, for ``--pictures-s SECONDS``; their small copies
 are stored in the folder as ``thumbnail_name`` says.
@@ -36,6 +37,7 @@ from pipeline.capture.camera_files import Recording, find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.laboratory.laboratory_files import with_laboratory
+from pipeline.capture.own_points_file import with_own_points
 from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
 from pipeline.capture.points import open_points, parse_names
 from pipeline.capture.preflight_npz import encode_keypoints, encode_points, encode_session
@@ -208,6 +210,8 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Pr
             up=arguments.up,
             layout=arguments.layout,
         )
+    if arguments.own_points:
+        session = with_own_points(session, arguments.own_points)
     session = _with_laboratory(session, arguments)
     archives = {path.stem: path.name for path in arguments.keypoints}
     # Parts of an array of all cameras have no archives of their own.
@@ -293,6 +297,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--timestamps", type=Path)
     parser.add_argument("--frame-rate", type=float)
     parser.add_argument("--layout", help="Layout of keypoints whose files do not name their points.")
+    parser.add_argument("--own_points", type=Path, help="Rigid objects and bones among own points of keypoints.")
     parser.add_argument("--laboratory", type=Path, help="C3D file of a laboratory beside the cameras.")
     parser.add_argument("--laboratory-facts", default="{}", help="JSON object: clock, channel and place of its axes.")
     parser.add_argument("--recordings", default="[]", help="JSON list of facts about videos or archives.")

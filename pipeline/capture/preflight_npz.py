@@ -19,7 +19,7 @@ from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.laboratory import Laboratory, LaboratoryEvent, LaboratoryStart
-from pipeline.core.data.own_points import OwnDetections
+from pipeline.core.data.own_points import OwnDetections, RigidShape
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
@@ -186,6 +186,7 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         "findings": [finding.to_json() for finding in session.findings],
         "layout": None if session.layout is None else asdict(session.layout),
         **({"own": session.own.names} if session.own.names else {}),
+        **_own_file(session.own, arrays),
         **_laboratory(session.laboratory, arrays),
     }
     arrays["head"] = np.array(json.dumps(head))
@@ -197,6 +198,13 @@ def encode_keypoints(session: KeypointSession) -> bytes:
             for kind, own in zip(_OWN, session.own.kinds, strict=True):
                 arrays |= {f"{kind}{name}_{k}": getattr(own[camera.name], name) for name in DETECTION_ARRAYS}
     return encode_arrays(arrays)
+
+
+def _own_file(own: OwnDetections, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Entry of a head about rigid objects and bones, none without them; places join the arrays."""
+    arrays |= {f"shape_{k}": shape.xyz_m for k, shape in enumerate(own.shapes)}
+    shapes = [[shape.name, shape.points, shape.has_sides] for shape in own.shapes]
+    return {"own_file": {"shapes": shapes, "bones": own.bones}} if own.shapes or own.bones else {}
 
 
 @encode_record.register
@@ -243,13 +251,18 @@ def decode_keypoints(content: bytes) -> KeypointSession:
             for k, camera in enumerate(cameras)
         }
 
-    own = tuple(head.get("own", ()))
+    own, own_file = tuple(head.get("own", ())), head.get("own_file", {"shapes": (), "bones": ()})
+    shapes = tuple(
+        RigidShape(name, tuple(points), arrays[f"shape_{k}"], has_sides)
+        for k, (name, points, has_sides) in enumerate(own_file["shapes"])
+    )
+    bones = tuple((first, second) for first, second in own_file["bones"])
     return KeypointSession(
         cameras=cameras,
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         timebase=Timebase(**head["timebase"]),
         detections=detections(),
-        own=OwnDetections(own, *map(detections, _OWN)) if own else OwnDetections(),
+        own=OwnDetections(own, *map(detections, _OWN), shapes, bones) if own else OwnDetections(),
         joints=_joint_set(head["joints"]),
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),

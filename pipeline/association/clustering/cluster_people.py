@@ -19,7 +19,6 @@ from pipeline.association.clustering.instant.people import match_people
 from pipeline.association.clustering.instant.work_limits import MAX_DENSE, WorkLimits
 from pipeline.association.clustering.linking import link, mean_distance_m
 from pipeline.association.clustering.skeleton import (
-    TORSO,
     LimbLengths,
     Skeleton,
     clustering_skeleton,
@@ -343,7 +342,7 @@ def _linked_rows(
     """Rows of each person's poses, in order of time."""
     frames = np.unique(poses.frame)
     rows = np.split(np.arange(len(poses.frame)), np.searchsorted(poses.frame, frames[1:]))
-    torso_m = poses.xyz_m[:, skeleton.indices(TORSO)]
+    torso_m = poses.xyz_m[:, skeleton.torso]
     instants_s = timebase.start_time_s + frames / timebase.frame_rate_hz
     tracks = link([torso_m[of_frame] for of_frame in rows[: len(frames)]], instants_s, parameters, on_share)
     return [np.array([rows[instant][number] for instant, number in track.members]) for track in tracks]

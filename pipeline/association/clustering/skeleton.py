@@ -47,7 +47,8 @@ _LIMBS: dict[str, Limb] = {
 _CORE = tuple(_LIMBS)[:13]
 
 TORSO = (ROOT, "nose", "left_shoulder", "right_shoulder", "left_hip", "right_hip")
-"""Torso joints, by which poses are linked in time (section 3.5)."""
+# Upper limit of an animal's bones, whose world is enlarged until animals are as large as people.
+_LONGEST_OF_ANIMAL_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +73,19 @@ class Skeleton:
         return [[j for j, depth in enumerate(depths) if depth == level] for level in range(max(depths) + 1)]
 
     @property
+    def is_persons(self) -> bool:
+        """True for the paper's skeleton, false for the points of an animal."""
+        return self.names[0] == ROOT
+
+    @property
     def core(self) -> list[int]:
-        """Positions of the paper's 14 joints."""
-        return [j for j, name in enumerate(self.names) if name == ROOT or name in _CORE]
+        """Positions of the paper's 14 joints; all points of an animal."""
+        return [j for j, name in enumerate(self.names) if name == ROOT or name in _CORE or not self.is_persons]
+
+    @property
+    def torso(self) -> list[int]:
+        """Positions of the joints by which poses are linked in time (section 3.5); all points of an animal."""
+        return self.indices(TORSO) if self.is_persons else self.core
 
     @property
     def core_observed(self) -> list[int]:
@@ -92,10 +103,12 @@ class Skeleton:
 
 
 def clustering_skeleton(joints: JointSet) -> Skeleton:
-    """Make the skeleton of a detector's joints.
+    """Make the skeleton of a detector's joints, or of the points and bones of an animal.
 
-    Raises ``ValueError`` if it lacks any of the paper's 13 joints other than the neck.
+    Raises ``ValueError`` if a detector lacks any of the paper's 13 joints other than the neck.
     """
+    if joints.bones and not {ROOT, *_CORE} & {*joints.names}:
+        return _animal_skeleton(joints)
     names = (ROOT, *(name for name in _LIMBS if name in joints.names))
     missing = [name for name in _CORE if name not in names]
     if missing:
@@ -108,6 +121,31 @@ def clustering_skeleton(joints: JointSet) -> Skeleton:
         is_constant=(False, *(limb.is_constant for limb in limbs)),
         field_share=(1.0, *(limb.field_share for limb in limbs)),
         sources=tuple(joints.names.index(name) if name in joints.names else -1 for name in names),
+    )
+
+
+def _animal_skeleton(joints: JointSet) -> Skeleton:
+    """Tree of bones from the point with the most bones on; points without a bone to it hang on it at any distance."""
+    ends = [end for bone in joints.bones for end in bone]
+    root = max(joints.names, key=ends.count)
+    parent_of, is_bone = {root: ""}, {root: False}
+    for start in (root, *joints.names):
+        if start not in parent_of:
+            parent_of[start], is_bone[start] = root, False
+        reached = [start]
+        for parent in reached:
+            for child in (end for bone in joints.bones if parent in bone for end in bone):
+                if child not in parent_of:
+                    parent_of[child], is_bone[child] = parent, True
+                    reached.append(child)
+    names = tuple(parent_of)
+    return Skeleton(
+        names=names,
+        parents=(-1, *(names.index(parent) for parent in list(parent_of.values())[1:])),
+        longest_m=(0.0, *[_LONGEST_OF_ANIMAL_M] * (len(names) - 1)),
+        is_constant=tuple(is_bone.values()),
+        field_share=(1.0,) * len(names),
+        sources=tuple(map(joints.names.index, names)),
     )
 
 

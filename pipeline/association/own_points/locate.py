@@ -1,8 +1,8 @@
 """Locate points of the user's own in the world: points that belong to people, and objects.
 
 A point belongs to people if it is listed with their joints and stays near them, or if it is listed with no person and
-stays near a single one. Other points are objects, such as a ball that is listed with the player: of each picture the
-detection with the highest score counts.
+stays near a single one. Points of a rigid object have one owner. Other points are objects, such as a ball that is
+listed with the player: of each picture the detection with the highest score counts.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,16 +12,20 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
+from pipeline.association.clustering.clustering_parameters import derive_parameters as clustering_parameters
+from pipeline.association.own_points.rigid import with_shapes
 from pipeline.association.tracking.observations import Detections2D, gather, observed_by
 from pipeline.association.tracking.track_people import track_bodies
 from pipeline.association.tracking.tracking_parameters import TrackingParameters, derive_parameters
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
-from pipeline.core.data.own_points import OwnDetections, OwnTracks, SceneObject
+from pipeline.core.data.own_points import OwnDetections, OwnTracks, SceneObject, columns_of
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.joints import JointSet, other_side
+from pipeline.core.options.config import Method
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.track_assembly import close_gaps, make_person
 from pipeline.geometry.tracks import reproject, triangulate_frames
@@ -45,17 +49,18 @@ def locate_own_points(
     tracks: Sequence[Track3D],
     observations: Sequence[Observations],
     parameters: TrackingParameters,
+    method: Method = "tracking",
 ) -> OwnTracks:
     """Locate own points by robust triangulation.
 
     ``detections``, ``joints``: bodies by camera with joints in distorted pixels, NaN where a joint was not found.
     ``own``: own points of these bodies and of the scene. ``tracks``, ``observations``: people in the world (metres),
-    and their observations in the same frames. Returns points of people in the frames of their tracks, and objects in
+    and their observations in the same frames. ``method``: how animals with bones are found. Returns points of people in the frames of their tracks, and objects in
     all frames. Positions are NaN where fewer than two views agree within 6 cm, and interpolated in gaps of at most 0.2
-    s. Standard deviations are in metres, root mean square over the axes.
+    s. Standard deviations are in metres, root mean square over the axes. Rigid objects that have poses are listed.
     """
     bodies, of_bodies, of_scene = (gather(cameras, times, some) for some in (detections, own.of_bodies, own.of_scene))
-    animals = track_animals(cameras, times, timebase, own)
+    animals = track_animals(cameras, times, timebase, own, method)
 
     def located(track: Track3D, points: Detections2D, rows: Int[np.ndarray, " rows"]) -> Track3D:
         seen = observed_by(track, points, rows, len(cameras), timebase, parameters.lambda_t_hz)
@@ -71,24 +76,36 @@ def locate_own_points(
     ]
     with_bodies = np.isfinite(of_bodies.seen_px).any((0, 2))
     is_persons = with_bodies & _stay_near(zip(of_people, tracks, strict=True), len(own.names))
-    for k in np.flatnonzero(~with_bodies).tolist():
-        of_k = _columns(scene, [k])
-        near = [number for number, track in enumerate(tracks) if _stay_near([(of_k, track)], 1)[0]]
-        if len(near) == 1:
-            person = near[0]
-            is_persons[k] = True
-            of_people[person] = _with_column(of_people[person], k, _in_frames(of_k, tracks[person].frames))
+    groups = [[own.names.index(point) for point in shape.points] for shape in own.shapes]
+    alone = set(range(len(own.names))).difference(*groups)
+    for group in [*groups, *([k] for k in sorted(alone))]:
+        if with_bodies[group].all():
+            is_persons[group] = 2 * is_persons[group].sum() > len(group)
+            continue
+        is_persons[group] = False
+        if not with_bodies[group].any():
+            of_group = columns_of(scene, group)
+            near = [number for number, track in enumerate(tracks) if _stay_near([(of_group, track)], len(group)).all()]
+            if len(near) == 1:
+                person = near[0]
+                is_persons[group] = True
+                of_people[person] = _with_columns(of_people[person], group, _in_frames(of_group, tracks[person].frames))
     columns = np.flatnonzero(is_persons).tolist()
-    return OwnTracks(
-        tuple(own.names[k] for k in columns),
-        tuple(_columns(points, columns) for points in of_people),
-        tuple(
-            SceneObject(name, (name,), _columns(scene, [k]))
-            for k, name in enumerate(own.names)
-            if not is_persons[k] and np.isfinite(scene.xyz_m[:, k]).any()
-        )
-        + animals,
-    )
+    things = [
+        SceneObject(name, points := tuple(own.names[k] for k in group), columns_of(scene, group), _within(own, points))
+        for name, group in [
+            *((shape.name, group) for shape, group in zip(own.shapes, groups, strict=True)),
+            *((own.names[k], [k]) for k in sorted(alone)),
+        ]
+        if not is_persons[group].any() and np.isfinite(scene.xyz_m[:, group]).any()
+    ]
+    names, people = tuple(own.names[k] for k in columns), tuple(columns_of(points, columns) for points in of_people)
+    return with_shapes(OwnTracks(names, people, (*things, *animals), bones=_within(own, names)), own)
+
+
+def _within(own: OwnDetections, names: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Bones between points of these names."""
+    return tuple(bone for bone in own.bones if {*bone} <= {*names})
 
 
 def _rows_of(
@@ -146,35 +163,37 @@ def _in_frames(points: Track3D, frames: range) -> Track3D:
     return points.part(slice(frames.start - points.start_frame, frames.stop - points.start_frame))
 
 
-def _columns(points: Track3D, columns: list[int]) -> Track3D:
-    arrays: dict[str, Any] = {name: read_only(array[:, columns]) for name, array in points.joint_arrays.items()}
-    return replace(points, **arrays)
-
-
-def _with_column(points: Track3D, column: int, of_column: Track3D) -> Track3D:
+def _with_columns(points: Track3D, columns: list[int], of_columns: Track3D) -> Track3D:
     arrays: dict[str, Any] = {name: array.copy() for name, array in points.joint_arrays.items()}
-    for name, array in of_column.joint_arrays.items():
-        arrays[name][:, column] = array[:, 0]
+    for name, array in of_columns.joint_arrays.items():
+        arrays[name][:, columns] = array
         read_only(arrays[name])
     return replace(points, **arrays)
 
 
-# Track animals: bodies whose points are all the user's own. Cross-view tracking (Chen et al. 2020) takes any points.
-# Its thresholds are lengths of people, so the world is enlarged until the animals are as large as people, and made
-# small again afterwards.
+# Track animals: bodies whose points are all the user's own. Cross-view tracking (Chen et al. 2020) takes any points,
+# hypothesis clustering points with bones. Their thresholds are lengths of people, so the world is enlarged until the
+# animals are as large as people, and made small again afterwards.
 
 # Extent of a person in a picture, as the larger side of the box, to which animals are compared.
 _PERSON_M = 1.5
 # Largest enlargement: for animals of unknown size, or as small as a fly.
 _MAX_SCALE = 1000.0
+# Lengths of its own that an animal moves in a second at most.
+_LENGTHS_S = 10.0
 
 
 def track_animals(
-    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], timebase: Timebase, own: OwnDetections
+    cameras: Sequence[Camera],
+    times: Mapping[str, FrameTimes],
+    timebase: Timebase,
+    own: OwnDetections,
+    method: Method,
 ) -> tuple[SceneObject, ...]:
     """Track animals, and locate their points in the frames of the take; none without animals.
 
-    Positions and standard deviations are in metres, NaN where a point is unknown.
+    Without bones they are tracked, whatever the method is. Positions and standard deviations are in metres, NaN where a
+    point is unknown.
     """
     bodies = gather(cameras, times, own.of_animals) if own.of_animals else None
     if bodies is None or not len(bodies.frame):
@@ -183,13 +202,22 @@ def track_animals(
     enlarged = _enlarged(cameras, scale)
     parameters = derive_parameters(enlarged, timebase.frame_rate_hz)
     parameters = replace(parameters, confirm_instants=min(parameters.confirm_instants, timebase.num_frames))
-    found = track_bodies(enlarged, times, bodies, timebase, parameters)
+    if method == "clustering" and own.bones:
+        derived = clustering_parameters(enlarged)
+        min_joints = min(derived.min_joints, len(own.names))
+        of_clustering = replace(derived, speed_m_s=_LENGTHS_S * _PERSON_M, min_joints=min_joints)
+        parts = times, own.of_animals, timebase, JointSet(own.names, own.bones), of_clustering
+        tracks, observations = reconstruct_by_clustering(enlarged, *parts)
+    else:
+        found = track_bodies(enlarged, times, bodies, timebase, parameters)
+        tracks, observations = tuple(found.tracks), tuple(found.observations)
     animals = []
-    for number, (track, seen) in enumerate(zip(found.tracks, found.observations, strict=True), 1):
+    for number, (track, seen) in enumerate(zip(tracks, observations, strict=True), 1):
         located = locate_points(enlarged, timebase, track, seen.points_px, seen.score, parameters.min_score)
         name = f"animal_{number}"
         points = tuple(f"{name}_{point}" for point in own.names)
-        animals.append(SceneObject(name, points, _in_take(located, timebase.num_frames, scale)))
+        bones = tuple((f"{name}_{first}", f"{name}_{second}") for first, second in own.bones)
+        animals.append(SceneObject(name, points, _in_take(located, timebase.num_frames, scale), bones))
     return tuple(animals)
 
 

@@ -213,6 +213,9 @@ a trigger channel or timecode if it is wrong."""
 LABORATORY_DOUBTFUL = WARNINGS.code("laboratory_doubtful", "warning")
 """Feet and force plates disagree about the time of a laboratory's file or about the place of its plates. | Follow the
 message."""
+OWN_POINTS_DOUBTFUL = WARNINGS.code("own_points_doubtful", "warning")
+"""A rigid object has no pose in any frame, or animals were tracked because `clustering` lacks their bones. | Correct
+the [file](../guide/own-points.md) about your own points."""
 TOO_FEW_CAMERAS = WARNINGS.code("too_few_cameras", 422, "warning", "finding", "job", "command")
 """The session has fewer than three cameras. | Add a camera."""
 DAMAGED_VIDEO = WARNINGS.code("damaged_video", "warning")

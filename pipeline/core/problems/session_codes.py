@@ -206,6 +206,9 @@ KEYPOINTS_MIXED = KEYPOINTS.code("keypoints_mixed", 422, "command")
 KEYPOINTS_LAYOUT = KEYPOINTS.code("keypoints_layout", 422, "command")
 """Several layouts have as many points as a person, and the people do not tell which one it is. | State the layout of
 the points: `--layout`, `layout` of the manifest."""
+OWN_POINTS_INVALID = KEYPOINTS.code("own_points_invalid", 422, "command")
+"""The file about your own points can't be used: unknown points, or distances that contradict each other or fix no
+shape. | Follow the message."""
 KEYPOINTS_EMPTY = KEYPOINTS.code("keypoints_empty", 422, "command")
 """No file has a person. | Check the detector's output."""
 KEYPOINTS_SCORES = KEYPOINTS.code("keypoints_scores", 422, "command")

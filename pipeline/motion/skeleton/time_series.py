@@ -26,8 +26,8 @@ from pipeline.geometry.tracks import reproject
 
 
 def filled_linearly(
-    points: Float[np.ndarray, "frames 3"], default: Float[np.ndarray, " 3"]
-) -> Float[np.ndarray, "frames 3"]:
+    points: Float[np.ndarray, "frames axes"], default: Float[np.ndarray, " axes"]
+) -> Float[np.ndarray, "frames axes"]:
     """Replace NaN: linear between known frames, constant at the ends, ``default`` if no frame is known."""
     known = np.flatnonzero(np.isfinite(points).all(-1))
     if len(known) == 0:

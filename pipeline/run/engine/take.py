@@ -100,17 +100,21 @@ def _with_own_points(context: stage.Context, take: Reconstruction, frames: range
         take.tracks,
         take.observations,
         derive_parameters(session.cameras, session.timebase.frame_rate_hz),
+        context.config.method,
     )
-    objects = {thing.name for thing in own.objects}
-    animals = [thing.name for thing in own.objects if thing.name not in session.own.names]
+    located = {*own.names, *(name for thing in own.objects for name in thing.points)}
+    animals = [thing.name for thing in own.objects if thing.points[0] not in session.own.names]
     parts = {
         "are animals": animals,
         "belong to people": own.names,
-        "are objects": [name for name in session.own.names if name in objects],
-        "were not located": [name for name in session.own.names if name not in {*own.names, *objects} and not animals],
+        "are objects": [thing.name for thing in own.objects if thing.name not in animals],
+        "were not located": [name for name in session.own.names if name not in located and not animals],
     }
     shown = "; ".join(f"{listed_names(names)} {what}" for what, names in parts.items() if names)
     finding = Finding(KEYPOINTS_FORM, f"Points of your own: {shown}.", severity="info")
+    if animals and context.config.method == "clustering" and not session.own.bones:
+        tracked = "Animals were tracked: clustering needs bones, by a file about your own points."
+        own = replace(own, doubts=(*own.doubts, tracked))
     return replace(take, own=own, warnings=(*take.warnings, finding))
 
 

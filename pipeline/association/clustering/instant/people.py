@@ -164,7 +164,12 @@ def _repair(
 
 
 def _repairs(skeleton: Skeleton) -> list[_Repair]:
-    """Repairs of a view: arms or legs exchanged, and each arm and leg left out from the elbow or the knee on."""
+    """Repairs of a view: arms or legs exchanged, and each arm and leg left out from the elbow or the knee on.
+
+    Animals have none.
+    """
+    if not skeleton.is_persons:
+        return []
     limbs = {
         (side, parts): skeleton.indices(tuple(f"{side}_{part}" for part in parts))
         for parts in (_ARM, _LEG)
@@ -213,11 +218,13 @@ def _value(
     agreement = sight.score[candidate] * np.nan_to_num(np.maximum(1.0 - (miss_m / DISPUTED_M) ** 2, -1.0))
     error = pose_length_error(xyz_m, skeleton, lengths)
     too_long = np.nan_to_num(np.minimum((error / (parameters.leniency * parameters.tau3)) ** 2, 1.0))
-    shoulders, hips = (
-        np.subtract(*(xyz_m[:, j, :2] for j in skeleton.indices((f"left_{part}", f"right_{part}"))))
-        for part in ("shoulder", "hip")
-    )
-    is_twisted = (shoulders * hips).sum(-1) < 0
+    is_twisted = np.zeros(len(xyz_m), bool)
+    if skeleton.is_persons:
+        shoulders, hips = (
+            np.subtract(*(xyz_m[:, j, :2] for j in skeleton.indices((f"left_{part}", f"right_{part}"))))
+            for part in ("shoulder", "hip")
+        )
+        is_twisted = (shoulders * hips).sum(-1) < 0
     # A neck between the shoulders is no observation of its own.
     observed = slice(1 if skeleton.sources[0] < 0 else 0, None)
     value = agreement[:, observed].sum((1, 2)) - too_long.sum(1) - is_twisted
