@@ -14,7 +14,7 @@ from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.laboratory import Laboratory
-from pipeline.core.data.own_points import joined
+from pipeline.core.data.own_points import RigidShape, joined
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.joints import FINGER_JOINTS, SIDES, JointSet, finger_joints
@@ -57,6 +57,7 @@ class PersonOfTake:
     own: Track3D | None
     own_names: tuple[str, ...]
     laboratory: Laboratory | None = None  # Records of a laboratory beside the cameras
+    shapes: tuple[RigidShape, ...] = ()  # Rigid objects
 
     @property
     def all_points(self) -> Track3D:
@@ -74,7 +75,8 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
         is_present = presence(track, frames) if timeline == "take" else np.ones(len(frames), bool)
         subject = take.subject_of(track.track_id)
         of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
-        yield PersonOfTake(track, motion, *of_take, take.own.of_person(number), take.own.names, take.laboratory)
+        own = take.own.of_person(number), take.own.names, take.laboratory, take.own.shapes
+        yield PersonOfTake(track, motion, *of_take, *own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +165,7 @@ def _written(
         person.own,
         person.own_names,
         person.laboratory,
+        person.shapes,
     )
     writer = find_writer(export)
     expected = writer.expected(content)

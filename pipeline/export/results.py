@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.association.own_points.rigid import rigid_motions
 from pipeline.calibration.write import encode as encode_calibration
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.arrays import short_text
@@ -48,6 +49,8 @@ TAKE = "take"
 """Name, without the ending, of the files with a whole take."""
 OBJECTS = "objects"
 """Name, without the ending, of the files with the points of all objects."""
+RIGID = "rigid.csv"
+"""Name of the table with the poses of all rigid objects."""
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
@@ -301,6 +304,8 @@ def _object_files(
     take: Reconstruction, folder: Path, exports: Collection[Export]
 ) -> Iterator[tuple[Path, list[bytes]]]:
     """Path and content of each file with the points of all objects."""
+    if "csv" in exports and (rigid := list(rigid_motions(take.own))):
+        yield folder / RIGID, list(csv_table.encode_rigid(rigid, take.timebase))
     if take.own.scene is None:
         return
     points, track = take.own.scene
@@ -310,7 +315,8 @@ def _object_files(
     if "trc" in paths:
         yield paths["trc"], list(trc.encode(track, points, take.timebase, paths["trc"].name))
     if "c3d" in paths:
-        yield paths["c3d"], list(c3d_file.encode(track, points, take.timebase, file_origin_m(take.cameras)))
+        origin_m, shapes = file_origin_m(take.cameras), take.own.shapes
+        yield paths["c3d"], list(c3d_file.encode(track, points, take.timebase, origin_m, shapes=shapes))
 
 
 def _num_frames(take: Reconstruction, timeline: Timeline) -> list[int]:

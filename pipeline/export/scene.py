@@ -12,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
+from pipeline.association.own_points.rigid import RigidMotion, poses
 from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.core.data.cameras import Camera
+from pipeline.core.data.own_points import RigidShape
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.data.rigid import Rigid3
@@ -74,23 +76,44 @@ class ScenePerson:
 
 
 class ScenePoint(NamedTuple):
-    """Point of the user's own in the frames of a scene."""
+    """Point of the user's own in the frames of a scene, or a rigid object."""
 
     name: str
     xyz_m: Float[np.ndarray, "frames 3"]  # Positions; between known frames on a line, before and after them the nearest
     is_known: Bool[np.ndarray, " frames"]
+    turn_xyzw: Float[np.ndarray, "frames 4"] | None = None  # Rotations of an object
+    parts: tuple[tuple[str, Float[np.ndarray, " 3"]], ...] = ()  # Points of an object, and their places in its axes
 
 
-def scene_points(names: Sequence[str], points: Track3D | None, frames: range) -> tuple[ScenePoint, ...]:
-    """Points of the user's own in the frames of a scene, without those that are known in no frame."""
+def scene_points(
+    names: Sequence[str], points: Track3D | None, frames: range, shapes: Sequence[RigidShape] = ()
+) -> tuple[ScenePoint, ...]:
+    """Points of the user's own in the frames of a scene, without those that are known in no frame.
+
+    Points of rigid objects are parts of these.
+    """
     if points is None:
         return ()
+    rigid = poses(shapes, names, points)
+    held = {name for motion in rigid for name in motion.shape.points}
     xyz_m = unknown_outside(points.xyz_m, points.frames, frames)
     is_known = np.isfinite(xyz_m).all(-1)
     return tuple(
         ScenePoint(name, filled_linearly(xyz_m[:, k], np.zeros(3)), is_known[:, k])
         for k, name in enumerate(names)
-        if is_known[:, k].any()
+        if is_known[:, k].any() and name not in held
+    ) + tuple(_rigid_point(motion, frames) for motion in rigid)
+
+
+def _rigid_point(motion: RigidMotion, frames: range) -> ScenePoint:
+    place_m, turn = (unknown_outside(v, motion.frames, frames) for v in (motion.place_m, motion.quat_xyzw))
+    filled = filled_linearly(turn, np.array([0.0, 0.0, 0.0, 1.0]))
+    return ScenePoint(
+        motion.shape.name,
+        filled_linearly(place_m, np.zeros(3)),
+        np.isfinite(place_m).all(-1),
+        filled / np.linalg.norm(filled, axis=1, keepdims=True),
+        tuple(zip(motion.shape.points, motion.shape.xyz_m, strict=True)),
     )
 
 
@@ -140,11 +163,12 @@ class TakeScene:
 
 def take_scene(take: Reconstruction) -> TakeScene:
     """Scene of a take with its people, in its order, its cameras and the floor under the people."""
-    frames = range(take.timebase.num_frames)
+    frames, own = range(take.timebase.num_frames), take.own
+    points = [scene_points(own.names, own.of_person(number), frames, own.shapes) for number in range(len(take.tracks))]
     return TakeScene(
         people=tuple(
-            ScenePerson(motion, track, frames, scene_points(take.own.names, take.own.of_person(number), frames))
-            for number, (motion, track) in enumerate(zip(take.motions, take.tracks, strict=True))
+            ScenePerson(motion, track, frames, of_person)
+            for motion, track, of_person in zip(take.motions, take.tracks, points, strict=True)
         ),
         cameras=tuple(map(SceneCamera, take.cameras)),
         floor=take.animation.floor,
@@ -152,7 +176,7 @@ def take_scene(take: Reconstruction) -> TakeScene:
         frames=frames,
         frame_rate_hz=take.timebase.frame_rate_hz,
         origin_m=file_origin_m(take.cameras),
-        objects=() if take.own.scene is None else scene_points(take.own.scene[0].names, take.own.scene[1], frames),
+        objects=() if own.scene is None else scene_points(own.scene[0].names, own.scene[1], frames, own.shapes),
     )
 
 

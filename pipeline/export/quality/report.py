@@ -37,14 +37,16 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.association.identity.likenesses import find_likenesses
+from pipeline.association.own_points.rigid import rigid_motions
 from pipeline.capture.synchronization.report import sync_document
 from pipeline.core.data.animation import Floor, FootContact
 from pipeline.core.data.cameras import Camera, CameraMove, Refinement
+from pipeline.core.data.own_points import OwnTracks
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import CERTAIN, Finding
 from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
-from pipeline.core.problems.finding_codes import CAMERA_DISAGREES
+from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, OWN_POINTS_DOUBTFUL
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.concerns import find_concerns
@@ -164,14 +166,28 @@ def quality_report(reconstruction: Reconstruction, views: Sequence[PersonViews] 
         ],
         **({"forced": list(reconstruction.check.forced)} if reconstruction.check.forced else {}),
         **laboratory_document(reconstruction.laboratory),
+        **({"rigid_objects": rigid} if (rigid := _describe_rigid(reconstruction.own)) else {}),
         "capture_checks": [
             *capture_checks(reconstruction, seen, likenesses),
             *laboratory_checks(reconstruction.laboratory),
+            *(Finding(OWN_POINTS_DOUBTFUL, doubt).to_json() for doubt in reconstruction.own.doubts),
         ],
         "world_checks": world_checks(reconstruction, statures_m, _shifted(reconstruction.cameras, views)),
     }
     concerns = find_concerns(reconstruction, views, all_checks(report))
     return report | {"concerns": [concern._asdict() for concern in concerns]}
+
+
+def _describe_rigid(own: OwnTracks) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": motion.shape.name,
+            "person": motion.person,
+            "coverage": _rounded(np.mean(motion.num_points > 0), 4),
+            "rms_mm": _rounded(1000.0 * np.nanmedian(motion.rms_m), 2),
+        }
+        for motion in rigid_motions(own)
+    ]
 
 
 def _shifted(cameras: Sequence[Camera], views: Sequence[PersonViews]) -> Sequence[CameraShift]:

@@ -173,6 +173,7 @@ class ViewerMotion:
             "record": self._describe_record(),
             "people": list(self._describe_people()),
             **({"points": points} if (points := list(self._describe_points())) else {}),
+            **({"point_bones": bones} if (bones := list(self._describe_bones(points))) else {}),
             "body": None if self._shapes is None else describe_body(self._shapes),
             "cameras": [_describe_camera(camera, self._footage.get(camera.name)) for camera in take.cameras],
             "clocks": None if take.synchronization is None else list(_describe_clocks(take.synchronization)),
@@ -255,6 +256,16 @@ class ViewerMotion:
                 yield from encode_points(own.names, track.track_id, points)
         if own.scene is not None:
             yield from encode_points(own.scene[0].names, None, own.scene[1])
+
+    def _describe_bones(self, points: Sequence[Mapping[str, Any]]) -> Iterator[list[int]]:
+        """Pairs of places among described points between which bones are."""
+        own = self._take.own
+        place_of = {(point["person"], point["name"]): place for place, point in enumerate(points)}
+        owned = [(track.track_id, bone) for track in self._take.tracks for bone in own.bones]
+        for person, ends in owned + [(None, bone) for bone in (own.scene[0].bones if own.scene else ())]:
+            places = [place_of[person, end] for end in ends if (person, end) in place_of]
+            if len(places) == len(ends):
+                yield places
 
 
 def with_names(description: bytes, motions: Sequence[SkeletonMotion]) -> bytes:

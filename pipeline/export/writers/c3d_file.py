@@ -8,7 +8,8 @@ relative to.
 
 Poses of segments are 4 x 4 matrices in the group ``ROTATION``, as Theia3D writes and Visual3D reads them: 16 numbers by
 columns, places in millimetres, and a reliability: 1, 0 where a landmark of the segment was not seen, -1 where the
-person is not there. The format can state a place in the first 32 MiB for them; in longer files they are left out.
+person is not there. Rigid objects have poses behind the segments. The format can state a place in the first 32 MiB for
+them; in longer files they are left out.
 
 Foot strikes and foot offs of gait, and flights of jumps, are in the group ``EVENT``, in the words of Vicon and
 Visual3D: labels ``Foot Strike`` and ``Foot Off`` with the contexts ``Left`` and ``Right``. There is no group without
@@ -27,11 +28,14 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
+from pipeline.association.own_points.rigid import RigidMotion, poses
 from pipeline.capture.laboratory.c3d_content import BLOCK_BYTES, C3dHeader, read_header, read_parameters
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.laboratory import Laboratory, LaboratoryEvent
+from pipeline.core.data.own_points import RigidShape
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import JointSet
 from pipeline.export.resample import on_clock
@@ -172,6 +176,7 @@ def encode(
     events: Sequence[MarkedEvent] = (),
     motion: SkeletonMotion | None = None,
     laboratory: Laboratory | None = None,
+    shapes: Sequence[RigidShape] = (),
 ) -> Iterator[bytes]:
     """Write a track's positions as C3D, piece by piece.
 
@@ -184,6 +189,7 @@ def encode(
     - ``motion``: motion of the skeleton in the track's frames, for the poses of segments; ``None``: the file has none.
     - ``laboratory``: laboratory on whose frames the track is: its channels, force plates, events and unit of lengths
       are the file's.
+    - ``shapes``: rigid objects of points among the joints, whose poses are behind the segments.
 
     >>> from pipeline.core.joints import COCO_17
     >>> known, zeros = np.zeros((2, 17, 3)), np.zeros((2, 17))
@@ -197,9 +203,12 @@ def encode(
     unit, per_m = ("mm", _MM_PER_M) if laboratory is None else (laboratory.unit, 1.0 / UNITS_M[laboratory.unit])
     num_point_blocks = _num_blocks(len(frames) * (len(joints.names) * _POINT_BYTES + samples_per_frame * _FLOAT))
 
+    rigid = poses(shapes, joints.names, track)
+    labels = [*(SEGMENT_LABELS.values() if motion is not None else ()), *(each.shape.name for each in rigid)]
+
     def groups_at(first_block: int) -> Groups:
-        rotations = first_block + num_point_blocks if motion is not None else None
-        groups = _groups(joints, timebase, origin_m, unit, frames, first_block, rotations)
+        rotations = first_block + num_point_blocks if labels else None
+        groups = _groups(joints, timebase, origin_m, unit, frames, first_block, rotations, labels)
         own = [
             LaboratoryEvent(*event[:2], _SUBJECT, (event.frame - frames.start) / timebase.frame_rate_hz)
             for event in events
@@ -215,8 +224,8 @@ def encode(
     # Readers of long takes that take the rest of the last block for frames find no points there.
     points = _point_pieces(track, origin_m, per_m, frames)
     yield from _padded(points if laboratory is None else with_samples(points, laboratory), _INVALID_POINT)
-    if motion is not None and first_block + num_point_blocks <= MAX_BLOCKS:
-        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, per_m, frames), bytes(4))
+    if labels and first_block + num_point_blocks <= MAX_BLOCKS:
+        yield from _padded(_rotation_pieces(motion, track, joints, origin_m, per_m, frames, rigid), bytes(4))
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:
@@ -243,6 +252,7 @@ def _groups(
     frames: range,
     first_block: int,
     rotation_block: int | None,
+    rotation_labels: list[str],
 ) -> dict[str, dict[str, Value]]:
     """Parameters of a file; ``rotation_block`` is the first block of the poses of segments, ``None`` without them."""
     rate_hz, num_frames = timebase.frame_rate_hz, len(frames)
@@ -271,12 +281,12 @@ def _groups(
         groups["WORLD"] = {"ORIGIN_M": origin_m.tolist()}
     if rotation_block is not None and rotation_block <= MAX_BLOCKS:
         groups["ROTATION"] = {
-            "USED": [len(SEGMENT_LABELS)],
+            "USED": [len(rotation_labels)],
             "DATA_START": [rotation_block],
             "RATE": [rate_hz],
             "RATIO": [1],
             "FRAMES": [min(num_frames, MAX_BLOCKS)],
-            "LABELS": list(SEGMENT_LABELS.values()),
+            "LABELS": rotation_labels,
             "UNITS": [unit],
         }
     return groups
@@ -303,25 +313,37 @@ def _point_pieces(track: Track3D, origin_m: Float[np.ndarray, " 3"], per_m: floa
 
 
 def _rotation_pieces(
-    motion: SkeletonMotion,
+    motion: SkeletonMotion | None,
     track: Track3D,
     joints: JointSet,
     origin_m: Float[np.ndarray, " 3"],
     per_m: float,
     frames: range,
+    rigid: Sequence[RigidMotion],
 ) -> Iterator[bytes]:
-    """Poses of segments of blocks of frames, each with its reliability."""
-    reliability = segment_reliability(track, joints)
+    """Poses of segments and of rigid objects of blocks of frames, each with its reliability."""
+    reliability = np.empty((0, 0)) if motion is None else segment_reliability(track, joints)
+    num = reliability.shape[1]
     for block in frame_blocks(len(frames)):
         part = frames[block]
-        values = np.zeros((len(part), len(SEGMENT_LABELS), _ROTATION_NUMBERS), "<f4")
+        values = np.zeros((len(part), num + len(rigid), _ROTATION_NUMBERS), "<f4")
         values[..., -1] = -1.0
+        for k, each in enumerate(rigid, num):
+            quat, place_m = (unknown_outside(v, each.frames, part) for v in (each.quat_xyzw, each.place_m))
+            known = np.flatnonzero(np.isfinite(place_m[:, 0]))
+            pose = np.zeros((len(known), 4, 4))
+            pose[:, :3, :3] = Rotation.from_quat(quat[known]).as_matrix() if len(known) else 0.0
+            pose[:, :3, 3], pose[:, 3, 3] = (place_m[known] - origin_m) * per_m, 1.0
+            values[known, k] = np.column_stack([np.swapaxes(pose, 1, 2).reshape(-1, 16), np.ones(len(known))])
+        if motion is None:
+            yield values.tobytes()
+            continue
         inside = range(max(part.start, track.frames.start), min(part.stop, track.frames.stop))
         if inside:
             rows = slice(inside.start - track.start_frame, inside.stop - track.start_frame)
             poses = segment_poses(motion, rows)
             poses[..., :3, 3] = (poses[..., :3, 3] - origin_m) * per_m
-            own = values[inside.start - part.start : inside.stop - part.start]
+            own = values[inside.start - part.start : inside.stop - part.start, :num]
             own[..., :-1] = np.swapaxes(poses, -1, -2).reshape(*poses.shape[:2], -1)
             own[..., -1] = reliability[rows]
         yield values.tobytes()
@@ -394,7 +416,7 @@ def _encode_person(given: PersonContent) -> Iterator[bytes]:
             if 0.0 <= frame <= len(person.frames)
         )
     content = person.track, person.joints, person.timebase, person.origin_m, person.frames, events, person.motion
-    return encode(*content, person.laboratory)
+    return encode(*content, person.laboratory, person.shapes)
 
 
 WRITER = Writer(

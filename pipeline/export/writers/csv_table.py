@@ -5,12 +5,13 @@ in metres, Z up. Cells of unknown joints are empty; so are all cells in frames b
 Numbers are rounded to 0.1 mm and 1 us.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.association.own_points.rigid import RigidMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
@@ -42,6 +43,19 @@ def encode(track: Track3D, joints: JointSet, timebase: Timebase, frames: range |
             for number, place in zip(frames[rows], places, strict=True)
         )
         yield "".join(lines).replace("nan", "").encode("ascii")
+
+
+def encode_rigid(motions: Sequence[RigidMotion], timebase: Timebase) -> Iterator[bytes]:
+    """Write the poses of rigid objects as CSV, piece by piece: place, quaternion and residual of each; else empty."""
+    columns = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "rms_m")
+    heads = [f"{motion.name}_{column}" for motion in motions for column in columns]
+    yield (",".join(["frame", "time_s", *heads]) + "\r\n").encode("ascii")
+    frames = range(timebase.num_frames)
+    poses = [np.column_stack([m.place_m, m.quat_xyzw, m.rms_m]) for m in motions]
+    for rows in frame_blocks(len(frames)):
+        values = [unknown_outside(v, m.frames, frames[rows]) for v, m in zip(poses, motions, strict=True)]
+        for number, line in zip(frames[rows], fixed(np.concatenate(values, axis=1), 6, ","), strict=True):
+            yield f"{number},{timebase.time_s(number):.6f},{line}\r\n".replace("nan", "").encode("ascii")
 
 
 def read_xyz_m(path: Path) -> Iterator[Float[np.ndarray, "_ joints 3"]]:

@@ -201,14 +201,25 @@ class GlbDocument:
             self._channels.append(_Channel(number, gltf.ROTATION, output))
 
     def add_points(self, points: Sequence[ScenePoint], owner: SkeletonMotion | None = None) -> None:
-        """Add points of the user's own, of a person or of objects: nodes of size 0 where a point is unknown."""
+        """Add points of the user's own, of a person or of objects: nodes of size 0 where a point is unknown.
+
+        A rigid object has its points below it.
+        """
         file, buffer = self._file, self._buffer
         if points and self._times is None:
             self._times = buffer.add(np.arange(len(self._frames)) / self._frame_rate_hz, gltf.SCALAR)
+        head = "" if owner is None else f"{owner.name} "
         for point in points:
             number = len(file.nodes)
             file.scenes[0].nodes.append(number)
-            file.nodes.append(gltf.Node(name=point.name if owner is None else f"{owner.name} {point.name}"))
+            parts = [(f"{head}{name}", GLTF.file_from_xyz_m(place_m).tolist()) for name, place_m in point.parts]
+            file.nodes.append(gltf.Node(name=f"{head}{point.name}"))
+            if parts:
+                file.nodes[number].children = list(range(number + 1, number + 1 + len(parts)))
+            file.nodes += [gltf.Node(name=name, translation=place) for name, place in parts]
+            if point.turn_xyzw is not None:
+                turns = buffer.add(GLTF.file_from_quat(point.turn_xyzw), gltf.VEC4)
+                self._channels.append(_Channel(number, gltf.ROTATION, turns))
             places = GLTF.file_from_xyz_m(point.xyz_m - self._origin_m)
             self._channels.append(_Channel(number, gltf.TRANSLATION, buffer.add(places, gltf.VEC3)))
             if not point.is_known.all():

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.laboratory import Laboratory
+from pipeline.core.data.own_points import RigidShape
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 from pipeline.core.options.choices import plainly_annotated
@@ -55,6 +56,8 @@ class PersonContent:
         joints in ``track`` and ``joints``, too.
     laboratory
         Records of a laboratory beside the cameras; ``None``: none.
+    shapes
+        Rigid objects, of the person's own points if these are theirs.
 
     Examples
     --------
@@ -79,11 +82,12 @@ class PersonContent:
     own: Track3D | None = None
     own_names: tuple[str, ...] = ()
     laboratory: Laboratory | None = None
+    shapes: tuple[RigidShape, ...] = ()
 
     @property
     def scene_points(self) -> tuple[ScenePoint, ...]:
         """Points of the user's own in the frames of the file."""
-        return scene_points(self.own_names, self.own, self.frames)
+        return scene_points(self.own_names, self.own, self.frames, self.shapes)
 
 
 plainly_annotated(PersonContent.__init__)

@@ -6,7 +6,7 @@ give equal bytes.
 """
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from pipeline.association.own_points.rigid import RigidMotion, rigid_motions
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.export.timelines import BLOCK_FRAMES, frame_blocks
@@ -52,13 +53,41 @@ def _track_parts(track: Track3D) -> Iterator[str]:
     uncertainty_m = track.uncertainty_m
     if uncertainty_m is not None:
         series["uncertainty_m"] = lambda rows: _joints_or_null(uncertainty_m[rows], 4)
-    for field, frames_of in series.items():
-        yield f',"{field}":['
-        for rows in frame_blocks(track.num_frames):
-            yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
-        yield "]"
+    yield from _series_parts(series, track.num_frames)
     if uncertainty_m is None:
         yield _WITHOUT_UNCERTAINTY
+
+
+def _series_parts(series: Mapping[str, Callable[[slice], Sequence[object]]], num_frames: int) -> Iterator[str]:
+    for field, frames_of in series.items():
+        yield f',"{field}":['
+        for rows in frame_blocks(num_frames):
+            yield f"{',' if rows.start else ''}{_dumps(frames_of(rows))[1:-1]}"
+        yield "]"
+
+
+def _rigid_parts(motion: RigidMotion) -> Iterator[str]:
+    """JSON object of the poses of a rigid object, block by block."""
+
+    def series(values: Float[np.ndarray, "frames *numbers"], decimals: int) -> Callable[[slice], Sequence[object]]:
+        return lambda rows: [frame[0] for frame in _joints_or_null(values[rows, None], decimals)]
+
+    shape = motion.shape
+    head = {
+        "name": shape.name,
+        "person": motion.person,
+        "start_frame": motion.frames.start,
+        "point_names": shape.points,
+        "points_m": np.round(shape.xyz_m, 4).tolist(),
+    }
+    yield _dumps(head).removesuffix("}")
+    arrays = {
+        "positions_m": (motion.place_m, 4),
+        "rotations_xyzw": (motion.quat_xyzw, 6),
+        "rms_m": (motion.rms_m, 4),
+    }
+    yield from _series_parts({name: series(*array) for name, array in arrays.items()}, len(motion.rms_m))
+    yield "}"
 
 
 def encode_track(track: Track3D, own: Track3D | None = None) -> Iterator[bytes]:
@@ -74,7 +103,7 @@ def encode_track(track: Track3D, own: Track3D | None = None) -> Iterator[bytes]:
 
 def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[bytes]:
     """Write ``skeletons.json``, piece by piece, from files of ``encode_track`` of all tracks in their order."""
-    timebase, joints = reconstruction.timebase, reconstruction.joints
+    timebase, joints, own = reconstruction.timebase, reconstruction.joints, reconstruction.own
     head = {
         "schema_version": SCHEMA_VERSION,
         "frame_rate_hz": timebase.frame_rate_hz,
@@ -83,7 +112,8 @@ def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[byt
         **({"first_source_frame": timebase.first_source_frame} if timebase.first_source_frame else {}),
         "joint_names": joints.names,
         "bones": joints.bones,
-        **({"own_point_names": reconstruction.own.names} if reconstruction.own.names else {}),
+        **({"own_point_names": own.names} if own.names else {}),
+        **({"own_point_bones": own.bones} if own.bones else {}),
     }
     yield f'{_dumps(head).removesuffix("}")},"tracks":[\n'.encode("ascii")
     for number, (track, motion, path) in enumerate(
@@ -97,12 +127,18 @@ def join(reconstruction: Reconstruction, tracks: Sequence[Path]) -> Iterator[byt
                 yield part
         yield b"}"
     yield b"\n]"
-    for number, thing in enumerate(reconstruction.own.objects):
+    for number, thing in enumerate(own.objects):
         head = {"name": thing.name, "point_names": thing.points, "start_frame": thing.track.start_frame}
+        head |= {"bones": thing.bones} if thing.bones else {}
         yield (b"," if number else b',"objects":[\n') + _dumps(head).removesuffix("}").encode("ascii")
         yield from encode_track(thing.track)
         yield b"}\n"
-    yield b"]}\n" if reconstruction.own.objects else b"}\n"
+    yield b"]" if own.objects else b""
+    rigid = list(rigid_motions(own))
+    for number, poses in enumerate(rigid):
+        yield b",\n" if number else b',"rigid_objects":[\n'
+        yield from (part.encode("ascii") for part in _rigid_parts(poses))
+    yield b"]}\n" if rigid else b"}\n"
 
 
 def read_track_m(path: Path) -> Float[np.ndarray, "_ joints 3"]:

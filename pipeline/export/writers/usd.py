@@ -164,13 +164,20 @@ class _Document:
         return path
 
     def add_points(self, parent: Any, points: Sequence[ScenePoint]) -> None:
-        """Add points of the user's own, invisible where they are unknown."""
+        """Add points of the user's own, invisible where they are unknown; a rigid object has its points below it."""
         for point in points:
             added = UsdGeom.Xform.Define(self.stage, self._free_path(parent, point.name, "point"))
             place = added.AddTranslateOp().GetAttr().GetPath()
             with Sdf.ChangeBlock():
                 for frame, xyz_m in enumerate((point.xyz_m - self._origin_m).tolist()):
                     self._layer.SetTimeSample(place, float(frame), Gf.Vec3d(*xyz_m))
+            if point.turn_xyzw is not None:
+                turn = added.AddOrientOp().GetAttr().GetPath()
+                for frame, (x, y, z, w) in enumerate(point.turn_xyzw.tolist()):
+                    self._layer.SetTimeSample(turn, float(frame), Gf.Quatf(w, x, y, z))
+            for name, place_m in point.parts:
+                part = UsdGeom.Xform.Define(self.stage, self._free_path(added.GetPath(), name, "point"))
+                part.AddTranslateOp().Set(Gf.Vec3d(*place_m.tolist()))
             if not point.is_known.all():
                 _show(added, point.is_known)
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from pipeline.association.own_points.rigid import RigidMotion, rigid_motions
 from pipeline.core.data.own_points import OwnTracks
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
@@ -23,8 +25,9 @@ from pipeline.export.viewer.description import ViewerMotion
 from pipeline.export.writers.csv_table import read_xyz_m as read_csv_m
 from pipeline.export.writers.glb import GlbReader
 from pipeline.export.writers.trc import read_xyz_m as read_trc_m
+from pipeline.motion.body_segments import SEGMENT_LABELS
 from pipeline.run.engine.local import reconstruct
-from tests.pipeline.own_point_scenes import own_scene
+from tests.pipeline.own_point_scenes import own_scene, rigid_scene, with_shapes
 
 
 @pytest.fixture(scope="module")
@@ -176,3 +179,144 @@ def test_viewer_has_points(partly_seen: Reconstruction) -> None:
     without = ViewerMotion(replace(partly_seen, own=OwnTracks()), person_views(partly_seen), {}, report)
     list(without.encode())
     assert "points" not in json.loads(without.describe())
+
+
+@pytest.fixture(scope="module")
+def rigid_take() -> Reconstruction:
+    """Take with rackets of people and a box, whose points are unknown in three frames."""
+    session = with_shapes(rigid_scene(duration_s=0.6).session)
+    take = reconstruct(session, ReconstructionConfig(refine_calibration="off"))
+    (box,) = take.own.objects
+    return replace(take, own=replace(take.own, objects=(box._replace(track=hidden(box.track, range(5, 8))),)))
+
+
+@pytest.fixture(scope="module")
+def rigid_folder(rigid_take: Reconstruction, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rigid")
+    write_results(rigid_take, folder, exports=("csv", "c3d", "glb", "usd"))
+    return folder
+
+
+def motions_of(take: Reconstruction) -> tuple[list[RigidMotion], RigidMotion]:
+    """Rackets, and the box."""
+    *rackets, box = rigid_motions(take.own)
+    assert [racket.person for racket in rackets] == [track.track_id for track in take.tracks]
+    assert np.flatnonzero(np.isnan(box.rms_m)).tolist() == [5, 6, 7]
+    return rackets, box
+
+
+def matrices(motion: RigidMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Frames with a pose, and its rotations in them."""
+    known = np.flatnonzero(np.isfinite(motion.rms_m))
+    return known, Rotation.from_quat(motion.quat_xyzw[known]).as_matrix()
+
+
+def test_json_has_poses_and_bones(rigid_take: Reconstruction, rigid_folder: Path) -> None:
+    document = json.loads((rigid_folder / "skeletons.json").read_text())
+    assert document["own_point_bones"] == [["grip", "tip"]]
+    assert document["objects"][0]["bones"] == [["box_a", "box_b"]]
+    rackets, box = motions_of(rigid_take)
+    for entry, motion in zip(document["rigid_objects"], [*rackets, box], strict=True):
+        assert (entry["name"], entry["person"], entry["start_frame"]) == (
+            motion.shape.name,
+            motion.person,
+            motion.frames.start,
+        )
+        assert entry["point_names"] == list(motion.shape.points)
+        np.testing.assert_allclose(entry["points_m"], motion.shape.xyz_m, atol=6e-5)
+        for field, values in (("positions_m", motion.place_m), ("rotations_xyzw", motion.quat_xyzw)):
+            unknown = [np.nan] * values.shape[1]
+            np.testing.assert_allclose([row or unknown for row in entry[field]], values, atol=6e-5)
+        assert [row is None for row in entry["rms_m"]] == np.isnan(motion.rms_m).tolist()
+
+
+def test_table_has_poses(rigid_take: Reconstruction, rigid_folder: Path) -> None:
+    rackets, box = motions_of(rigid_take)
+    with (rigid_folder / "rigid.csv").open() as file:
+        head, *rows = csv.reader(file)
+    assert head[:3] == ["frame", "time_s", "person_1_racket_x_m"]
+    assert head[-8:] == [f"box_{column}" for column in ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw", "rms_m")]
+    values = np.array([[float(cell or "nan") for cell in row[-8:]] for row in rows])
+    np.testing.assert_allclose(values, np.column_stack([box.place_m, box.quat_xyzw, box.rms_m]), atol=1e-6)
+    assert len(rackets) == 3
+
+
+def test_c3d_has_poses_behind_segments(rigid_take: Reconstruction, rigid_folder: Path) -> None:
+    rackets, box = motions_of(rigid_take)
+    for name, motion, labels in (
+        ("objects", box, []),
+        *((f"person-{racket.person}", racket, list(SEGMENT_LABELS.values())) for racket in rackets),
+    ):
+        content = ezc3d.c3d(str(rigid_folder / f"{name}.c3d"))
+        assert content["parameters"]["ROTATION"]["LABELS"]["value"] == [*labels, motion.shape.name]
+        known, turns = matrices(motion)
+        poses = content["data"]["rotations"][:, :, len(labels), motion.frames.start :]
+        np.testing.assert_allclose(poses[:3, :3, known].transpose(2, 0, 1), turns, atol=1e-6)
+        np.testing.assert_allclose(poses[:3, 3, known].T, 1000 * motion.place_m[known], atol=0.01)
+    hidden_poses = ezc3d.c3d(str(rigid_folder / "objects.c3d"))["data"]["rotations"][:3, :3, 0, 5:8]
+    assert not np.nan_to_num(hidden_poses).any()
+
+
+def test_glb_has_objects_with_their_points_below(rigid_take: Reconstruction, rigid_folder: Path) -> None:
+    _, box = motions_of(rigid_take)
+    with (rigid_folder / "take.glb").open("rb") as file:
+        reader = GlbReader(file)
+        nodes, (animation,) = reader.document["nodes"], reader.document["animations"]
+        names = [node["name"] for node in nodes]
+        assert names.count("box_a") == 1
+        assert {f"{motion.name} racket" for motion in rigid_take.motions} <= set(names)
+        number = names.index("box")
+        children = [nodes[child] for child in nodes[number]["children"]]
+        assert [child["name"] for child in children] == list(box.shape.points)
+        outputs = {
+            channel["target"]["path"]: animation["samplers"][channel["sampler"]]["output"]
+            for channel in animation["channels"]
+            if channel["target"]["node"] == number
+        }
+        rows = slice(0, rigid_take.timebase.num_frames)
+        quat, places = (reader.rows(outputs[path], rows) for path in ("rotation", "translation"))
+        sizes = reader.rows(outputs["scale"], rows)[:, 0]
+    assert np.flatnonzero(sizes == 0.0).tolist() == [5, 6, 7]
+    known, turns = matrices(box)
+    below = np.array([child["translation"] for child in children])
+    shown = np.einsum("fij,pj->fpi", Rotation.from_quat(quat[known]).as_matrix(), below) + places[known, None]
+    true_m = np.einsum("fij,pj->fpi", turns, box.shape.xyz_m) + box.place_m[known, None]
+    np.testing.assert_allclose(GLTF.xyz_m_from_file(shown), true_m, atol=1e-5)
+
+
+def test_usd_has_objects_with_their_points_below(rigid_take: Reconstruction, rigid_folder: Path) -> None:
+    pxr = pytest.importorskip("pxr")
+    stage = pxr.Usd.Stage.Open(str(rigid_folder / "take.usdc"))
+    _, box = motions_of(rigid_take)
+    corner = stage.GetPrimAtPath("/take/box/box_b")
+    known, turns = matrices(box)
+    for frame, turn in zip(known.tolist()[:3], turns, strict=False):
+        shown = pxr.UsdGeom.XformCache(float(frame)).GetLocalToWorldTransform(corner).ExtractTranslation()
+        true_m = turn @ box.shape.xyz_m[box.shape.points.index("box_b")] + box.place_m[frame]
+        np.testing.assert_allclose(shown, true_m, atol=1e-5)
+    visible = [pxr.UsdGeom.Imageable(corner).ComputeVisibility(float(frame)) for frame in (4, 5, 7, 8)]
+    assert visible == ["inherited", "invisible", "invisible", "inherited"]
+
+
+def test_viewer_has_bones(rigid_take: Reconstruction) -> None:
+    motion = ViewerMotion(rigid_take, person_views(rigid_take), {}, quality_report(rigid_take))
+    list(motion.encode())
+    document = json.loads(motion.describe())
+    points = [(point["person"], point["name"]) for point in document["points"]]
+    ends = [tuple(points[place] for place in bone) for bone in document["point_bones"]]
+    rackets = [((track.track_id, "grip"), (track.track_id, "tip")) for track in rigid_take.tracks]
+    assert ends == [*rackets, ((None, "box_a"), (None, "box_b"))]
+
+
+def test_poses_are_resampled(rigid_take: Reconstruction) -> None:
+    """Every second pose is a pose of the take; a pose between two frames is between their poses."""
+    _, box = motions_of(rigid_take)
+    half, twice = (
+        list(rigid_motions(resample(rigid_take, rate_hz * rigid_take.timebase.frame_rate_hz).own))[-1]
+        for rate_hz in (0.5, 2.0)
+    )
+    np.testing.assert_allclose(half.place_m, box.place_m[::2], atol=1e-9)
+    np.testing.assert_allclose(twice.place_m[::2], box.place_m, atol=1e-9)
+    middle_m = (box.place_m[1:] + box.place_m[:-1]) / 2
+    known = np.isfinite(middle_m).all(-1)
+    assert np.nanmax(np.linalg.norm(twice.place_m[1::2][known] - middle_m[known], axis=1)) < 0.005
