@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pipeline.capture.keypoint_files.people import KeypointsError
     from pipeline.capture.keypoint_files.points import KeypointReading
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
+    from pipeline.capture.own_points_file import with_own_points
     from pipeline.capture.points import PointSession
     from pipeline.capture.points import SessionMaker as Session
     from pipeline.capture.session import CaptureSession, open_session
@@ -109,6 +110,7 @@ __all__ = [
     "reconstruct",
     "reconstruct_to_files",
     "recorded_frames",
+    "with_own_points",
     "write_results",
 ]
 
@@ -163,6 +165,7 @@ _REFERENCES = {
     "reconstruct": "pipeline.run.engine.local:reconstruct",
     "reconstruct_to_files": "pipeline.run.engine.local:reconstruct_to_files",
     "recorded_frames": "pipeline.run.live.records:recorded_frames",
+    "with_own_points": "pipeline.capture.own_points_file:with_own_points",
     "write_results": "pipeline.export.results:write_results",
 }
 

@@ -31,6 +31,7 @@ from pipeline.video.images.files import SEQUENCE
 if not shows_help():
     from pipeline.capture.camera_files import Recording
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
+    from pipeline.capture.own_points_file import with_own_points
     from pipeline.capture.session import CaptureSession, Session, open_session
 
 
@@ -71,6 +72,12 @@ class SourceOptions:
     ] = None
     frame_rate: KeypointRateOption = None
     layout: LayoutOption = None
+    own_points: Annotated[
+        Path | None,
+        typer.Option(
+            help="Rigid objects and bones among points of your own, YAML or JSON; see `multicap help own-points`."
+        ),
+    ] = None
     pair_by_order: PairByOrderOption = False
     units: UnitsOption = None
     up: UpOption = "z"
@@ -99,6 +106,9 @@ class SourceOptions:
         if self.keypoints is None and self.layout is not None:
             message = "A layout belongs to keypoints; detectors of videos have their own."
             yield Problem(SOURCES, message, hint="Omit --layout.")
+        if self.keypoints is None and self.own_points is not None:
+            message = "Points of your own belong to keypoints; detectors of videos find people."
+            yield Problem(SOURCES, message, hint="Omit --own-points.")
         if self.keypoints is not None and self.offset:
             message = "Offsets belong to videos; keypoints have timestamps."
             yield Problem(SOURCES, message, hint="Omit --offset.")
@@ -112,7 +122,7 @@ class SourceOptions:
 
     def open_keypoints(self, calibration: Path, *, keeps_poses: bool = True) -> "KeypointSession":
         """Open keypoints; raises ``InputError`` if options can't be read, and as ``pipeline.capture.keypoints``."""
-        return open_keypoints(
+        session = open_keypoints(
             _keypoint_folder(self.keypoints or ()),
             calibration,
             self.timestamps,
@@ -123,6 +133,7 @@ class SourceOptions:
             up=known_up(self.up),
             layout=self.layout,
         )
+        return session if self.own_points is None else with_own_points(session, self.own_points)
 
     def open_videos(self, calibration: Path | None, *, keeps_poses: bool = True) -> "CaptureSession":
         """Open videos, or images; raises ``InputError`` if options can't be read, and as ``open_session``."""

@@ -71,7 +71,7 @@ app = typer.Typer(help="Calibrations: make one from a board, from people, or fro
 
 
 @app.command("board")
-@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up"))
+@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up", "own_points"))
 def from_board(
     *,
     board: Annotated[
@@ -185,7 +185,7 @@ def _named(intrinsics: Path, views: "list[BoardViews]") -> "dict[str, Camera]":
 
 @app.command("people")
 @with_choices("profile", "detector")
-@with_source(omits=("clock", "units", "up"))
+@with_source(omits=("clock", "units", "up", "own_points"))
 def from_people(
     *,
     stature_m: Annotated[
@@ -249,7 +249,7 @@ def from_people(
 
 
 @app.command("scene")
-@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up", "offset", "rate"))
+@with_source(omits=("clock", "keypoints", "timestamps", "frame_rate", "units", "up", "offset", "rate", "own_points"))
 def from_scene(
     *,
     points: Annotated[

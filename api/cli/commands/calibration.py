@@ -187,7 +187,7 @@ def _notes(contents: "CameraFile") -> list[Finding]:
 
 @app.command()
 @with_choices("profile", "detector")
-@with_source(omits=("clock",))
+@with_source(omits=("clock", "own_points"))
 def check(
     *,
     file: FileArgument,

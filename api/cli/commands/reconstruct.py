@@ -70,6 +70,18 @@ def print_summary(metrics: Mapping[str, Any], notes: Mapping[Code, str] | None =
         f"{metrics['num_frames']} frames at {metrics['frame_rate_hz']:g} Hz; "
         f"median reprojection error {shown(metrics['reprojection_error_px']['median'], 'px', 1)}"
     )
+    if rigid := metrics.get("rigid_objects"):
+        print_table(
+            ("rigid object", "frames with a pose", "points off"),
+            (
+                (
+                    each["name"] if each["person"] is None else f"{each['name']} of person-{each['person']}",
+                    shown(100 * each["coverage"], "%", 1),
+                    shown(each["rms_mm"], "mm", 1),
+                )
+                for each in rigid
+            ),
+        )
     before_and_after = (
         ("bone length deviation", "cm", metrics["bone_length_std_before_cm"], metrics["bone_length_std_cm"]),
         ("jitter", "m/s\u00b2", metrics["jitter_before_m_s2"], metrics["jitter_m_s2"]),

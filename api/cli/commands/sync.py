@@ -33,7 +33,7 @@ _PERCENT = 100
 
 
 @with_choices("profile", "detector")
-@with_source(omits=("offset", "clock"))
+@with_source(omits=("offset", "clock", "own_points"))
 def command(
     *,
     calibration: Annotated[Path, typer.Option(help="Calibration file of the cameras.")],

@@ -37,7 +37,9 @@ _FOOTAGE = {
     form_kinds.KEYPOINTS: form_kinds.KEYPOINTS,
     form_kinds.TIMESTAMPS: form_kinds.TIMESTAMPS,
     form_kinds.LABORATORY: form_kinds.LABORATORY,
+    form_kinds.OWN_POINTS: form_kinds.OWN_POINTS,
 }
+_BESIDE = (form_kinds.LABORATORY, form_kinds.OWN_POINTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +204,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
 
     Copies, so that each session has files of its own: either may be deleted.
     """
-    if any(parts.has(part) for part in _FOOTAGE.values() if part != form_kinds.LABORATORY):
+    if any(parts.has(part) for part in _FOOTAGE.values() if part not in _BESIDE):
         message = "The footage comes from a capture: files of footage can't be sent too."
         parts.reject_field(
             form_kinds.SESSION_ID, request_codes.PART_NOT_ALLOWED, message, "Omit session_id, or the files."
@@ -216,8 +218,8 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
             return
         files = session.files
         for file in files:
-            # The file of a laboratory may be sent later, or again.
-            if (part := _FOOTAGE.get(file.kind)) is None or (part == form_kinds.LABORATORY and parts.has(part)):
+            # These files may be sent later, or again.
+            if (part := _FOOTAGE.get(file.kind)) is None or (part in _BESIDE and parts.has(part)):
                 continue
             services.disk.require_room(file.num_bytes)
             with services.artifacts.open(file.key, file.sha256) as source:

@@ -38,6 +38,8 @@ class UploadedSession(form_kinds.UploadedFootage):
     """Upload of the timestamps of keypoints: CSV with the columns camera, frame and time_s."""
     laboratory: UUID | None = None
     """Upload of a laboratory's C3D file beside videos or keypoints: force plates, channels, events."""
+    own_points: UUID | None = None
+    """Upload of rigid objects and bones among points of your own in the keypoints, YAML or JSON."""
     session_id: UUID | None = None
     """Id of a session whose videos, or keypoints with timestamps, are copied in place of files; such as the session of
     a calibration. Cameras, clock, rates, `sync` and `timeline` that `manifest` leaves unset are copied, too."""
@@ -45,7 +47,7 @@ class UploadedSession(form_kinds.UploadedFootage):
 
     def uploads(self) -> list[tuple[str, UUID | str]]:
         """Part of the form and id or URL of each upload."""
-        single = [(part, getattr(self, part)) for part in ("calibration", "timestamps", "laboratory")]
+        single = [(part, getattr(self, part)) for part in ("calibration", "timestamps", "laboratory", "own_points")]
         several = [(part, upload) for part in ("keypoints", "points") for upload in getattr(self, part)]
         return [*super().uploads(), *several, *((part, upload) for part, upload in single if upload is not None)]
 
@@ -69,7 +71,8 @@ class FileOut(ResponseModel):
 
     name: str = Field(description="Name of the file.", examples=["cam_0.mp4"])
     kind: str = Field(examples=["video"])
-    """Kind of the file: `video`, `keypoints`, `points`, `calibration`, `timestamps` or `laboratory`."""
+    """Kind of the file: `video`, `keypoints`, `points`, `calibration`, `timestamps`, `laboratory` or
+    `own_points`."""
     num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.", examples=[SHA256])
     is_deleted: bool = False
@@ -275,7 +278,7 @@ def _session_faults(counts: Mapping[str, int]) -> Iterator[tuple[Code, str, str]
         message = "There is a calibration and a calibration_id: a session needs one of both."
         yield PART_NOT_ALLOWED, message, form_kinds.CALIBRATION_ID
     if counts[form_kinds.VIDEOS]:
-        for part in (form_kinds.KEYPOINTS, form_kinds.TIMESTAMPS):
+        for part in (form_kinds.KEYPOINTS, form_kinds.TIMESTAMPS, form_kinds.OWN_POINTS):
             if counts[part]:
                 yield PART_NOT_ALLOWED, "A session of videos has no such files.", part
 
@@ -290,6 +293,7 @@ _PARTS: Mapping[str, str] = {
     form_kinds.CALIBRATION: "Calibration of all cameras; or `calibration_id`.",
     form_kinds.TIMESTAMPS: "Timestamps of keypoints: CSV with the columns camera, frame and time_s.",
     form_kinds.LABORATORY: "C3D file of a laboratory beside videos or keypoints: force plates, channels, events.",
+    form_kinds.OWN_POINTS: "Rigid objects and bones among points of your own in the keypoints, YAML or JSON.",
 }
 
 SESSION_FORM = form_kinds.FormKind(

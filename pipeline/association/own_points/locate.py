@@ -56,9 +56,9 @@ def locate_own_points(
     ``detections``, ``joints``: bodies by camera with joints in distorted pixels, NaN where a joint was not found.
     ``own``: own points of these bodies and of the scene. ``tracks``, ``observations``: people in the world (metres),
     and their observations in the same frames. ``method``: how animals with bones are found. Returns points of people in
-    the frames of their tracks, and objects in
-    all frames. Positions are NaN where fewer than two views agree within 6 cm, and interpolated in gaps of at most 0.2
-    s. Standard deviations are in metres, root mean square over the axes. Rigid objects that have poses are listed.
+    the frames of their tracks, and objects in all frames. Positions are NaN where fewer than two views agree within 6
+    cm, and interpolated in gaps of at most 0.2 s. Standard deviations are in metres, root mean square over the axes.
+    Rigid objects that have poses are listed.
     """
     bodies, of_bodies, of_scene = (gather(cameras, times, some) for some in (detections, own.of_bodies, own.of_scene))
     animals = track_animals(cameras, times, timebase, own, method)

@@ -1,4 +1,4 @@
-// Points of the user's own in 3D: a ball for each point of a person or of an object, in one draw call.
+// Points of the user's own in 3D: a ball for each point of a person or of an object, and lines for bones between them.
 
 import * as THREE from "../../vendor/three/three.module.js";
 import { integers } from "../motion/records.js";
@@ -12,7 +12,7 @@ export class PointFigures {
   #absent;
   #origin;
 
-  constructor(stage, { points = [], people, record = {}, origin_m: origin = [0, 0, 0] }) {
+  constructor(stage, { points = [], point_bones: bones = [], people, record = {}, origin_m: origin = [0, 0, 0] }) {
     this.stage = stage;
     this.#absent = record.absent;
     this.#origin = origin;
@@ -26,6 +26,12 @@ export class PointFigures {
     this.balls.frustumCulled = false; // its bounds would have to be computed for each frame
     this.points.forEach(({ color }, number) => this.balls.setColorAt(number, new THREE.Color(color)));
     stage.add(this.balls);
+    this.bones = bones;
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(6 * bones.length), 3));
+    this.lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ color: OBJECT_COLOR }));
+    this.lines.frustumCulled = false;
+    stage.add(this.lines);
   }
 
   setShown(person, isShown) {
@@ -42,6 +48,14 @@ export class PointFigures {
       this.balls.setMatrixAt(number, isHere ? this.#matrix.makeTranslation(anchor) : HIDDEN);
     });
     this.balls.instanceMatrix.needsUpdate = true;
+    const ends = this.lines.geometry.getAttribute("position");
+    this.bones.forEach((bone, number) => {
+      const anchors = bone.map((place) => this.points[place].anchor);
+      // A bone with an unknown end has no length.
+      const isHere = anchors.every(({ x }) => !Number.isNaN(x));
+      anchors.forEach(({ x, y, z }, end) => ends.setXYZ(2 * number + end, ...(isHere ? [x, y, z] : [0, 0, 0])));
+    });
+    ends.needsUpdate = true;
     this.stage.invalidate();
   }
 
@@ -50,5 +64,8 @@ export class PointFigures {
     this.balls.geometry.dispose();
     this.balls.material.dispose();
     this.balls.dispose();
+    this.stage.scene.remove(this.lines);
+    this.lines.geometry.dispose();
+    this.lines.material.dispose();
   }
 }

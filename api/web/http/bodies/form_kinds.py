@@ -12,7 +12,7 @@ from pipeline.core.problems.code_group import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"
 INTRINSICS, IMAGES, CHARACTER, POINTS = "intrinsics", "images", "character", "points"
-LABORATORY = "laboratory"
+LABORATORY, OWN_POINTS = "laboratory", "own_points"
 VIEWS = (VIDEOS, KEYPOINTS, IMAGES, POINTS)
 """Parts with a file for each camera, or several of 3D points; the other parts have one file."""
 
