@@ -262,7 +262,7 @@ def decode_keypoints(content: bytes) -> KeypointSession:
         times={camera.name: FrameTimes(arrays[f"time_s_{k}"]) for k, camera in enumerate(cameras)},
         timebase=Timebase(**head["timebase"]),
         detections=detections(),
-        own=OwnDetections(own, *map(detections, _OWN), shapes, bones) if own else OwnDetections(),
+        own=OwnDetections(own, *map(detections, _OWN), shapes=shapes, bones=bones) if own else OwnDetections(),
         joints=_joint_set(head["joints"]),
         folders=head["folders"],
         findings=tuple(map(Finding.from_json, head["findings"])),

@@ -111,8 +111,8 @@ def _scene(
             num_rows[frame] += 1
             points_px[camera.name][place][:num_joints] = seen.keypoints_px[row]
             scores[camera.name][place][:num_joints] = seen.score[row]
-            for k, point_px in enumerate(held_px if identity[row] >= 0 else (), num_joints):
-                points_px[camera.name][place][k] = point_px[identity[row]][frame] + rng.normal(0.0, NOISE_PX, 2)
+            for k, of_people_px in enumerate(held_px if identity[row] >= 0 else (), num_joints):
+                points_px[camera.name][place][k] = of_people_px[identity[row]][frame] + rng.normal(0.0, NOISE_PX, 2)
                 scores[camera.name][place][k] = 0.9
         for frame in range(len(at_s)):
             place = frame, rng.integers(num_rows[frame] + 1)
@@ -122,5 +122,5 @@ def _scene(
     names = (*simulation.joints.names, *of_people, *of_scene)
     times_s = {name: times.time_s for name, times in simulation.times.items()}
     session = from_arrays(points_px, scores, simulation.cameras, times_s=times_s, joints=names)
-    truth_m = {name.replace(" ", "_"): values for name, values in (of_people | of_scene).items()}
+    truth_m = {name.replace(" ", "_"): values for name, values in {**of_people, **of_scene}.items()}
     return OwnScene(session, simulation, truth_m)

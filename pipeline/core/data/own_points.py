@@ -31,8 +31,8 @@ class OwnDetections:
     of_scene: Mapping[str, Detections] = field(default_factory=dict)  # By camera; a row a frame, points without a body
     # By camera; rows of bodies that are no people's, whose points are all own points: animals
     of_animals: Mapping[str, Detections] = field(default_factory=dict)
-    shapes: tuple[RigidShape, ...] = ()
-    bones: tuple[tuple[str, str], ...] = ()  # Pairs of points between which bones are
+    shapes: tuple[RigidShape, ...] = field(default=(), kw_only=True)
+    bones: tuple[tuple[str, str], ...] = field(default=(), kw_only=True)  # Pairs of points between which bones are
 
     def within(self, frames: Mapping[str, range]) -> "OwnDetections":
         """Select ranges of the cameras' frame numbers."""
