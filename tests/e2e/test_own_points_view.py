@@ -1,4 +1,4 @@
-"""Points of the user's own in the viewer: balls and names where the points are, hidden with their person."""
+"""Points of the user's own in the viewer: balls and names where the points are, hidden with their person; bones."""
 
 import os
 from collections.abc import Iterator
@@ -39,6 +39,9 @@ PLACES = """async (frame) => {
   });
 }"""
 
+# Ends of the lines of bones in a frame, which `PLACES` has shown.
+ENDS = """() => [...globalThis.viewer.view.points.lines.geometry.getAttribute("position").array]"""
+
 
 def points_at(xyz_m: np.ndarray) -> Track3D:
     shape = xyz_m.shape[:2]
@@ -61,13 +64,18 @@ def test_points_are_drawn_where_they_are(live: Live, tmp_path: Path) -> None:
     ball_m[UNKNOWN.start : UNKNOWN.stop] = np.nan
     ball = SceneObject("match_ball", ("match_ball",), points_at(ball_m[:, None]))
     job_id = live.job_id()
-    live.finish(job_id, motion=viewer_files_of(replace(take, own=OwnTracks(("racket_tip",), tips, (ball,)))))
+    kite_m = ball_m[:, None] + np.array([[0.0, 0.0, 0.5], [0.3, 0.0, 0.6]])
+    kite = SceneObject("kite", ("nose", "tail"), points_at(kite_m), (("nose", "tail"),))
+    own = OwnTracks(("racket_tip",), tips, (ball, kite))
+    live.finish(job_id, motion=viewer_files_of(replace(take, own=own)))
     with opened(str(live.client.base_url)) as page:
         page.evaluate(MOUNT, job_id)
         expect(page.locator(".look-viewer[data-ready=true]")).to_be_visible(timeout=180_000)
         for frame in (0, 13, 25):
             places = page.evaluate(PLACES, frame)
-            expected = [*(tip.xyz_m[frame, 0] for tip in tips), ball_m[frame]]
+            expected = [*(tip.xyz_m[frame, 0] for tip in tips), ball_m[frame], *kite_m[frame]]
+            ends = np.nan_to_num(kite_m[frame]).ravel()  # a bone that is unknown has no length
+            np.testing.assert_allclose(page.evaluate(ENDS), ends, atol=2e-3)
             assert [place is None for place in places] == [bool(np.isnan(xyz_m).any()) for xyz_m in expected]
             for place, xyz_m in zip(places, expected, strict=True):
                 if place is not None:
@@ -79,4 +87,4 @@ def test_points_are_drawn_where_they_are(live: Live, tmp_path: Path) -> None:
         if folder := os.environ.get("MULTICAP_PICTURES"):
             page.screenshot(path=str(Path(folder) / "own_points.png"))
         page.evaluate("globalThis.viewer.view.setShown(0, false)")
-        assert [place is None for place in page.evaluate(PLACES, 13)] == [True, False, False]
+        assert [place is None for place in page.evaluate(PLACES, 13)] == [True, *[False] * 4]
