@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def _decode_video(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray], nam
     )
 
 
-def decode_session(content: bytes, folder: Path) -> CaptureSession:
+def decode_session(content: bytes | BinaryIO, folder: Path) -> CaptureSession:
     """Read what ``encode_session`` wrote; the videos are in ``folder`` by their names."""
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))
@@ -222,7 +222,7 @@ def encode_points(session: PointSession) -> bytes:
     return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
 
 
-def decode_points(content: bytes) -> PointSession:
+def decode_points(content: bytes | BinaryIO) -> PointSession:
     """Read what ``encode_points`` wrote."""
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))
@@ -239,7 +239,7 @@ def _joint_set(head: Mapping[str, Any]) -> JointSet:
     return JointSet(tuple(head["names"]), tuple((first, second) for first, second in head["bones"]))
 
 
-def decode_keypoints(content: bytes) -> KeypointSession:
+def decode_keypoints(content: bytes | BinaryIO) -> KeypointSession:
     """Read what ``encode_keypoints`` wrote."""
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))

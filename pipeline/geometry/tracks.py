@@ -13,6 +13,8 @@ from pipeline.geometry.kernels import make_solver, triangulate_all
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_views
 
+_BLOCK = 4096  # frames that are worked on at once, to bound the memory
+
 
 def triangulate_frames(
     image_from_world: Float[np.ndarray, "cameras 3 4"],
@@ -75,6 +77,9 @@ def reproject(
     shape = xyz_m.shape[:2]
     error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)
     lenses = make_lenses(cameras, min_weight)
-    flat_px = as_compiled(points_px.reshape(*weights.shape[:2], 2 * xyz_m.shape[1]))
-    reproject_all(lenses, as_compiled(xyz_m), flat_px, as_compiled(weights), error_px, mean_weight, views)
+    for start in range(0, len(xyz_m), _BLOCK):  # arrays that are read-only are copied
+        rows = slice(start, start + _BLOCK)
+        flat_px = as_compiled(points_px[rows].reshape(*weights[rows].shape[:2], 2 * xyz_m.shape[1]))
+        results = error_px[rows], mean_weight[rows], views[rows]
+        reproject_all(lenses, as_compiled(xyz_m[rows]), flat_px, as_compiled(weights[rows]), *results)
     return error_px, mean_weight, views

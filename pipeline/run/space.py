@@ -25,6 +25,8 @@ _TRACK, _VIEW, _DETECTION, _FITTED, _SMOOTHED = 49, 18, 21, 24, 16
 _POSE, _OF_FRAME = 900, 80
 # Of a person in a frame: points of the feet; and until the job ends the state of the fit, without and of each joint.
 _FEET, _STATE, _STATE_OF_JOINT = 75, 600, 40
+# Of a view of a joint in a frame: arrays of tracking, which are in files from a size on (``large_arrays``).
+_MAPPED, _MIN_MAPPED = 96, 2**27
 _FIELDS_OF_FRAME: Mapping[str, int] = {"openpose-mobilenet-thin": 17_000, "human-pose-estimation-0001": 5_800}
 # With fingers a skeleton has so many times as many joints, and a task takes as many times the memory. Bodies without
 # them have at most so many joints.
@@ -193,6 +195,8 @@ def estimate_space(
         output_bytes += kept_bytes + viewer_bytes
     state_bytes = rows * (_STATE + num_joints * _STATE_OF_JOINT)
     scratch_bytes = people_bytes + state_bytes + max(people_bytes, result_bytes)
+    if (mapped_bytes := rows * num_joints * num_views * _MAPPED) > _MIN_MAPPED:
+        scratch_bytes += mapped_bytes
     return ForeseenSpace(round(output_bytes), round(result_bytes), round(scratch_bytes), num_people)
 
 

@@ -65,6 +65,8 @@ class Work:
     on_unit: Callable[[], None]
     check: Callable[[], None]  # Call it during long steps that are no unit; raises ``StoppedError`` likewise
     interim: OutputReader  # Reads their interim outputs
+    # Copies the output, or the interim output, of an earlier stage's chunk to a file: stage, chunk, path, is interim
+    copy_output: Callable[[str, int, Path, bool], None]
     found: bytes | None  # Output of the chunk if it is stored already, and only the interim output is missing
     # Reads a piece of an output that an earlier chunk of the session has kept, by its key; ``None`` without it
     piece: Callable[[str], bytes | None] = lambda _: None

@@ -30,7 +30,7 @@ from pipeline.run.warm_up import warm_up as compile_kernels
 from worker.run.chunk import Work
 from worker.run.planning import claimed_task, has_points, has_videos, session_facts
 from worker.store.errors import DamagedArtifact, NotFound
-from worker.store.files.artifacts import ArtifactStore, read_artifact
+from worker.store.files.artifacts import ArtifactStore
 from worker.store.files.checksums import require_file
 from worker.store.files.file_keys import record_key
 from worker.store.model.session_records import Session
@@ -81,13 +81,15 @@ class KeptSession:
 
     def _open(self, session: Session, artifacts: ArtifactStore) -> OpenedSession:
         self.close()
-        with _undamaged("The record of the session's check"):
-            content = read_artifact(artifacts, record_key(session.id), session.record_sha256)
         opened: OpenedSession
-        if has_videos(session):
-            opened = decode_session(content, self._new_folder())
-        else:
-            opened = (decode_points if has_points(session) else decode_keypoints)(content)
+        with (
+            _undamaged("The record of the session's check"),
+            artifacts.open(record_key(session.id), session.record_sha256) as content,
+        ):
+            if has_videos(session):
+                opened = decode_session(content, self._new_folder())
+            else:
+                opened = (decode_points if has_points(session) else decode_keypoints)(content)
         self._session, self._id = opened, session.id
         return opened
 
@@ -219,6 +221,9 @@ class _TaskContext(Context):
 
     def finished(self, stage: str, tasks: slice) -> list[bytes | None]:
         return self.work.finished(stage, tasks)
+
+    def copy_output(self, stage: str, task: int, path: Path, is_interim: bool = False) -> None:
+        self.work.copy_output(stage, task, path, is_interim)
 
     def stored_output(self) -> bytes | None:
         return self.work.found

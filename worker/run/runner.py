@@ -18,7 +18,14 @@ from worker.run.chunk import DamagedOutputsError, Lease, StoppedError, Work, tim
 from worker.run.presence import process_name, scratch_folder
 from worker.run.problems import job_problem, too_long, waiting_for
 from worker.store.errors import ArtifactsUnavailable, DamagedArtifact, DamagedDatabase, NotFound, UnknownSchema
-from worker.store.files.artifacts import ArtifactStore, read_artifact, read_interim, write_interim
+from worker.store.files.artifacts import (
+    ArtifactStore,
+    copy_artifact,
+    copy_interim,
+    read_artifact,
+    read_interim,
+    write_interim,
+)
 from worker.store.files.file_keys import first_people_key, result_key, stage_key
 from worker.store.model.job_records import Result
 from worker.store.model.session_records import MadeCalibration
@@ -240,6 +247,7 @@ class Runner:
                     on_unit=lease.on_unit,
                     check=lease.check,
                     interim=partial(self._interim, claim),
+                    copy_output=partial(self._copy_output, claim),
                     found=stored,
                     finished=partial(self._finished, claim),
                     piece=partial(self._piece, claim),
@@ -248,25 +256,32 @@ class Runner:
             lease.check()
             results = [self._keep(claim, file) for file in output.files]
             pieces = [self._keep_piece(claim, key, path) for key, path in output.pieces.items()]
-        if output.interim is not None:
-            write_interim(self._artifacts, claim, output.interim)
-        if output.first_people is not None:
-            key = first_people_key(claim.job_id, claim.job_attempt, claim.output_key)
-            self._artifacts.put_bytes(key, output.first_people)
-        if stored is None:
-            self._artifacts.put_bytes(stage_key(claim.session_id, claim.output_key), output.content)
+            if output.interim is not None:
+                write_interim(self._artifacts, claim, output.interim)
+            if output.first_people is not None:
+                key = first_people_key(claim.job_id, claim.job_attempt, claim.output_key)
+                self._artifacts.put_bytes(key, output.first_people)
+            digest, num_bytes = _measured(output.content)
+            if stored is None:
+                self._put(stage_key(claim.session_id, claim.output_key), output.content)
         log.info("chunk_done", seconds=round(time.monotonic() - started_s, 3))
         return partial(
             self._store.leases.finish,
             *_held(claim),
-            _sha256(output.content),
-            len(output.content),
+            digest,
+            num_bytes,
             results=results,
             warnings=output.warnings,
             calibration=None if output.calibration is None else MadeCalibration(**output.calibration),
             people=output.people,
             pieces=pieces,
         )
+
+    def _put(self, key: str, content: bytes | Path) -> None:
+        if isinstance(content, Path):
+            self._artifacts.put_file(key, content)
+        else:
+            self._artifacts.put_bytes(key, content)
 
     def _reusable(self, claim: Claim) -> tuple[str, int] | None:
         """Digest and size of this chunk's output if it was finished before and is still whole."""
@@ -324,9 +339,9 @@ class Runner:
             return None
 
     def _keep_piece(self, claim: Claim, key: str, path: Path) -> KeptPiece:
-        content = path.read_bytes()
-        self._artifacts.put_bytes(stage_key(claim.session_id, key), content)
-        return KeptPiece(key, _sha256(content), len(content))
+        piece = KeptPiece(key, *_measured(path))
+        self._artifacts.put_file(stage_key(claim.session_id, key), path)
+        return piece
 
     def _outputs(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         contents, damaged = [], set()
@@ -341,6 +356,18 @@ class Runner:
             raise DamagedOutputsError(stage, damaged)
         return contents
 
+    def _copy_output(self, claim: Claim, stage: str, chunk: int, path: Path, is_interim: bool) -> None:
+        """Copy the output, or the interim output, of an earlier stage's chunk to a file."""
+        output = self._store.outputs.list_stage(claim.job_id, stage)[chunk]
+        try:
+            if is_interim:
+                copy_interim(self._artifacts, claim, output.key, path)
+            else:
+                # Without a digest it is being computed again.
+                copy_artifact(self._artifacts, stage_key(claim.session_id, output.key), output.sha256 or "", path)
+        except (NotFound, DamagedArtifact) as error:
+            raise DamagedOutputsError(stage, {output.index}) from error
+
     def _interim(self, claim: Claim, stage: str, chunks: slice = slice(None)) -> list[bytes]:
         outputs = self._store.outputs.list_stage(claim.job_id, stage)[chunks]
         contents = [read_interim(self._artifacts, claim, output.key) for output in outputs]
@@ -350,9 +377,7 @@ class Runner:
 
     def _keep(self, claim: Claim, file: ResultFile) -> Result:
         """Store a result file, unless the revision before has stored the same bytes."""
-        num_bytes = file.path.stat().st_size
-        with file.path.open("rb") as content:
-            sha256 = hashlib.file_digest(content, "sha256").hexdigest()
+        sha256, num_bytes = _measured(file.path)
         listed = self._store.results.listed(claim.listed_by, file.name)
         if listed is not None and listed.sha256 == sha256 and self._is_stored(listed.key, sha256):
             key = listed.key
@@ -376,5 +401,9 @@ def _held(claim: Claim) -> tuple[int, str]:
     return claim.chunk_id, claim.lease_token
 
 
-def _sha256(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _measured(content: bytes | Path) -> tuple[str, int]:
+    """Digest and size of bytes, or of a file."""
+    if isinstance(content, bytes):
+        return hashlib.sha256(content).hexdigest(), len(content)
+    with content.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest(), content.stat().st_size

@@ -15,6 +15,7 @@ from pipeline.association.identity.recover_detections import MIN_JOINTS, mean_di
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Leftovers, Source, Track3D
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.track_assembly import Person
 from pipeline.geometry.tracks import reproject
@@ -160,7 +161,7 @@ def _longer(
     error_px, mean_score, views = reproject(cameras, xyz_m, points_px, score, min_score)
 
     def joined(before: np.ndarray, added: np.ndarray) -> np.ndarray:
-        return read_only(np.concatenate([before, added] if step > 0 else [added[::-1], before]))
+        return read_only(large_arrays.concatenate([before, added] if step > 0 else [added[::-1], before]))
 
     longer = replace(
         track,

@@ -14,6 +14,7 @@ from pipeline.association.identity.tracklets import Path, make_path, pairs_withi
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Source
 from pipeline.core.joints import JointSet
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.track_assembly import Person, record_life
 from pipeline.geometry.tracks import triangulate_frames
@@ -51,14 +52,14 @@ def merge(pieces: Sequence[Person], cameras: Sequence[Camera], timebase: Timebas
     _, first = pieces[0]
     shape = (stop - start, *first.score.shape[1:])
     xyz_m = np.full((shape[0], shape[2], 3), np.nan)
-    points_px, score = np.full((*shape, 2), np.nan), np.zeros(shape)
+    points_px, score = large_arrays.full((*shape, 2), np.nan), large_arrays.full(shape, 0.0)
     detection = np.full(shape[:2], -1) if all(len(seen.detection) for _, seen in pieces) else None
     num_pieces = np.zeros(shape[0], int)
     for track, seen in sorted(pieces, key=lambda piece: -np.count_nonzero(piece[1].score)):
         rows = slice(track.start_frame - start, track.start_frame - start + track.num_frames)
         free = np.asarray((score[rows] <= 0).all(-1, keepdims=True))
-        points_px[rows] = np.where(free[..., None], seen.points_px, points_px[rows])
-        score[rows] = np.where(free, seen.score, score[rows])
+        np.copyto(points_px[rows], seen.points_px, where=free[..., None])
+        np.copyto(score[rows], seen.score, where=free)
         if detection is not None:
             detection[rows] = np.where(free[..., 0], seen.detection, detection[rows])
         measured_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)

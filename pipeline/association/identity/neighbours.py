@@ -19,6 +19,7 @@ from pipeline.association.identity.side_candidates import SCALE_M
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.joints import COCO_17, JointSet, other_side
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import project, projection_matrices
 from pipeline.geometry.track_assembly import Person
 from pipeline.geometry.tracks import triangulate_frames
@@ -329,8 +330,9 @@ def _give_back(
     min_score: float,
 ) -> list[Person]:
     """Take joints from the people who have them, and give them to their owners where these have none."""
-    points_px = {k: persons[k][1].points_px.copy() for k in {k for each in taken for k in (each.person, each.owner)}}
-    score = {k: persons[k][1].score.copy() for k in points_px}
+    touched = {k for each in taken for k in (each.person, each.owner)}
+    points_px = {k: large_arrays.copy(persons[k][1].points_px) for k in touched}
+    score = {k: large_arrays.copy(persons[k][1].score) for k in points_px}
     changed = {k: np.zeros(persons[k][0].num_frames, bool) for k in points_px}
     given: list[tuple[TakenJoint, Float[np.ndarray, " 2"], float]] = []
     for each in taken:

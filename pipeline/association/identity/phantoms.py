@@ -21,6 +21,7 @@ from pipeline.association.identity.merging import runs
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, PersonLoss, Source, Track3D
 from pipeline.core.joints import JointSet
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person, record_life
 
@@ -119,7 +120,7 @@ def _without(
 ) -> Person | None:
     track, seen = person
     xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
-    points_px, score = seen.points_px.copy(), seen.score.copy()
+    points_px, score = large_arrays.copy(seen.points_px), large_arrays.copy(seen.score)
     for part in parts:
         xyz_m[part], points_px[part], score[part] = np.nan, np.nan, 0.0
     detection = seen.detection if len(seen.detection) else None

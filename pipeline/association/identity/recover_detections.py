@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from pipeline.association.identity.merging import relocate
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Leftovers
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person
 
@@ -121,7 +122,7 @@ def _with_bodies(
         return person
     track, seen = person
     rows = left.frame[bodies] - track.start_frame
-    points_px, score = seen.points_px.copy(), seen.score.copy()
+    points_px, score = large_arrays.copy(seen.points_px), large_arrays.copy(seen.score)
     points_px[rows, left.camera[bodies]] = left.points_px[bodies]
     score[rows, left.camera[bodies]] = left.score[bodies]
     changed = np.zeros(track.num_frames, bool)

@@ -21,6 +21,7 @@ from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import JointSet
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import center_in_world, rays_in_world
 from pipeline.geometry.track_assembly import Person
 from pipeline.geometry.undistortion import undistort_px
@@ -59,14 +60,14 @@ def decide_sides(
         _states(person, limbs, candidate, doubtful, borders, cameras, timebase, min_score)
         for limbs, candidate in zip(pairs, candidates, strict=True)
     )
-    points_px, score = seen.points_px.copy(), seen.score.copy()
+    points_px, score = large_arrays.copy(seen.points_px), large_arrays.copy(seen.score)
     changed = np.zeros(track.num_frames, bool)
     num_frames = np.diff(borders)
     for limbs, of_moments in zip(pairs, most_likely(arms, legs, num_frames), strict=True):
         exchanged = np.repeat(of_moments, num_frames, axis=0)
         for values in (points_px, score):
-            here = exchanged.reshape(*exchanged.shape, *(1,) * (values.ndim - 2))
-            values[:, :, limbs.both] = np.where(here, values[:, :, limbs.exchanged], values[:, :, limbs.both])
+            here, view = np.nonzero(exchanged)
+            values[here[:, None], view[:, None], limbs.both] = values[here[:, None], view[:, None], limbs.exchanged]
         changed |= exchanged.any(1)
     if not changed.any():
         return person
@@ -144,7 +145,8 @@ def _states(
     cost = np.where(is_stretch[:, None], np.inf, candidates.cost[start])
     cost[is_stretch, 0] = 0.0
     _, seen = person
-    weight = np.where(seen.score >= min_score, seen.score, 0.0)[:, :, limbs.both] ** 2
+    score = seen.score[:, :, limbs.both]
+    weight = np.where(score >= min_score, score, 0.0) ** 2
     frames = _located_ends(np.asarray(((weight > 0).sum(-1) >= 2).sum(-1) >= 2), borders)
     rays = [_rays(person, of_moments, cameras, min_score) for of_moments in frames]
     first, last = (locate_limbs(of_moments, limbs, exchanged) for of_moments in rays)

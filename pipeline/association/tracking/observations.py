@@ -11,6 +11,7 @@ from pipeline.association.tracking.kernels.observation_kernels import Sampling, 
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Track3D
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.undistortion import undistort_px
 
 UNASSIGNED = -1
@@ -37,10 +38,10 @@ def gather(
 ) -> Detections2D:
     """Copy the detections of all cameras into arrays. The cameras are in the order of ``Detections2D.camera``."""
     ordered = [detections[camera.name] for camera in cameras]
-    seen_px = np.concatenate(
+    seen_px = large_arrays.concatenate(
         [within_view(camera, of_camera.keypoints_px) for camera, of_camera in zip(cameras, ordered, strict=True)]
     )
-    score = np.concatenate([of_camera.score for of_camera in ordered])
+    score = large_arrays.concatenate([of_camera.score for of_camera in ordered])
     clear_unfound(seen_px, score)
     return Detections2D(
         camera=np.repeat(np.arange(len(cameras)), [len(of_camera.frame) for of_camera in ordered]),
@@ -65,7 +66,7 @@ def _gather_colours(ordered: Sequence[Detections]) -> UInt8[np.ndarray, "detecti
     if not measured:
         return np.zeros((sum(len(of_camera.frame) for of_camera in ordered), 0, 0), np.uint8)
     shape = measured[0].shape[1:]
-    return np.concatenate(
+    return large_arrays.concatenate(
         [
             of_camera.colour if len(of_camera.colour) else np.zeros((len(of_camera.frame), *shape), np.uint8)
             for of_camera in ordered
@@ -77,7 +78,7 @@ def undistorted(cameras: Sequence[Camera], bodies: Detections2D) -> Float[np.nda
     """Undistort the joints of all detections; returns ``bodies.seen_px`` itself if no camera has distortion."""
     if all(camera.is_ideal for camera in cameras):
         return bodies.seen_px
-    ideal_px = np.empty_like(bodies.seen_px)  # filled camera by camera: a long session is a large part of the memory
+    ideal_px = large_arrays.empty(bodies.seen_px.shape)
     borders = np.searchsorted(bodies.camera, np.arange(len(cameras) + 1)).tolist()
     for camera, (first, last) in zip(cameras, pairwise(borders), strict=True):
         ideal_px[first:last] = undistort_px(camera, bodies.seen_px[first:last])

@@ -13,6 +13,7 @@ from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Leftovers, Observations, People, Track3D
 from pipeline.core.progress import OnShare, ignore, sub_share
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses
 from pipeline.geometry.kernels import make_solver
@@ -169,7 +170,8 @@ def _triangulate(
 
     def located_m(sampling: Sampling) -> Float[np.ndarray, "frames joints 3"]:
         shape = len(sampling.instants_s), num_joints
-        xyz_m, disputed, guess_m = np.empty((*shape, 3)), np.empty(shape, bool), np.empty((*shape, 3))
+        xyz_m, guess_m = (large_arrays.empty((*shape, 3)) for _ in range(2))
+        disputed = np.empty(shape, bool)
         locate(sampling, bodies, flat_px, solver, *room, xyz_m, disputed, guess_m)
         return xyz_m
 
@@ -191,8 +193,8 @@ def _record(
     lives = [find_life(timebase, person_m) for person_m in xyz_m]
     # One array for all people: its memory consists of larger pages, and its first use takes a fifth of the time.
     num_frames = sum(life.stop - life.start for life in lives if life is not None)
-    seen_px = np.empty((num_frames, num_cameras, num_joints, 2))
-    score = np.empty((num_frames, num_cameras, num_joints))
+    seen_px = large_arrays.empty((num_frames, num_cameras, num_joints, 2))
+    score = large_arrays.empty((num_frames, num_cameras, num_joints))
     flat_px = (
         bodies.seen_px.reshape(len(bodies.seen_px), 2 * num_joints),
         seen_px.reshape(num_frames, num_cameras, 2 * num_joints),

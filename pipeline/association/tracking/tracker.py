@@ -24,6 +24,7 @@ from pipeline.association.tracking.observations import UNASSIGNED, Detections2D
 from pipeline.association.tracking.tracking_parameters import TrackingParameters
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.progress import OnShare, ignore
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import center_in_world, projection_matrices
 from pipeline.geometry.epipolar import fundamental_matrices
 from pipeline.geometry.tracks import triangulate_frames
@@ -68,7 +69,7 @@ def make_frames(
     time_s = np.concatenate([frames.time_s for frames in times])
     camera = np.repeat(np.arange(len(times)), [len(frames.time_s) for frames in times])
     in_time = np.argsort(time_s, kind="stable")
-    score = np.empty_like(bodies.score)
+    score = large_arrays.empty(bodies.score.shape)
     keep_used(bodies.score, min_score, score)
     return Frames(
         time_s[in_time],

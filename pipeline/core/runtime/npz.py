@@ -6,9 +6,15 @@ Only plain arrays are written and read, no pickles: a file that was tampered wit
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.lib.npyio import NpzFile
+
+from pipeline.core.runtime import large_arrays
+
+_READ_BYTES = 2**20
 
 
 def save_arrays(file: io.BufferedIOBase, arrays: Mapping[str, np.ndarray]) -> None:
@@ -23,13 +29,33 @@ def encode_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
     return file.getvalue()
 
 
-def decode_arrays(content: bytes) -> dict[str, np.ndarray]:
-    """Read all arrays of an archive."""
+def decode_arrays(content: bytes | BinaryIO) -> dict[str, np.ndarray]:
+    """Read all arrays of an archive, or of an open file that holds it."""
     with open_archive(content) as archive:
-        return dict(archive)
+        return {name: read_array(archive, name) for name in archive.files}
 
 
-def open_archive(content: bytes | Path) -> NpzFile:
+def read_array(archive: NpzFile, name: str) -> np.ndarray:
+    """Read an array of an archive; a large one into a file, see ``large_arrays``."""
+    entries: Any = archive.zip
+    if entries.getinfo(f"{name}.npy").file_size < large_arrays.MIN_BYTES:
+        return np.asarray(archive[name])
+    with entries.open(f"{name}.npy") as file:
+        read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
+        shape, is_fortran, dtype = read_header(file)
+        if is_fortran or dtype.hasobject:
+            return np.asarray(archive[name])
+        array = large_arrays.empty(shape, dtype)
+        left = array.data.cast("B")
+        while len(left) and (content := file.read(_READ_BYTES)):
+            left[: len(content)] = content
+            left = left[len(content) :]
+    if len(left):
+        raise ValueError(f"The array {name} of an archive is not whole.")
+    return array
+
+
+def open_archive(content: bytes | Path | BinaryIO) -> NpzFile:
     """Open an archive, or the file that holds it. An array is read when it is asked for."""
-    opened: NpzFile = np.load(content if isinstance(content, Path) else io.BytesIO(content), allow_pickle=False)
+    opened: NpzFile = np.load(io.BytesIO(content) if isinstance(content, bytes) else content, allow_pickle=False)
     return opened

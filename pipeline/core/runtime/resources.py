@@ -1,4 +1,4 @@
-"""Resources of a process: settings of glibc's allocator and of the garbage collector, a limit of memory, and priority.
+"""Resources of a process: glibc's allocator, garbage collector, files in place of memory, a limit, and priority.
 
 Without glibc only the limit of memory has an effect.
 """
@@ -6,10 +6,13 @@ Without glibc only the limit of memory has an effect.
 import contextlib
 import ctypes
 import gc
+import mmap
 import os
 import resource
 import sys
+import tempfile
 from pathlib import Path
+from weakref import WeakSet
 
 # Constants of glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
@@ -92,3 +95,26 @@ def raise_descriptor_limit() -> int:
     with contextlib.suppress(OSError, ValueError):  # the hard limit was lowered since it was read
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+
+
+_mapped: WeakSet[mmap.mmap] = WeakSet()
+
+
+def map_file(num_bytes: int) -> mmap.mmap:
+    """Map a temporary file without a name, in the folder of Python's temporary files, as memory.
+
+    Raises ``OSError`` if the disk is full.
+    """
+    with tempfile.TemporaryFile() as file:
+        if hasattr(os, "posix_fallocate"):  # else a full disk would end the process at a write
+            os.posix_fallocate(file.fileno(), 0, num_bytes)
+        file.truncate(num_bytes)
+        mapped = mmap.mmap(file.fileno(), num_bytes)
+    _mapped.add(mapped)
+    return mapped
+
+
+def release_pages() -> None:
+    """Take the pages of all mapped files out of the process; they come back from the system's cache, or the disk."""
+    for mapped in tuple(_mapped):
+        mapped.madvise(mmap.MADV_DONTNEED)

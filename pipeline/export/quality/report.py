@@ -47,6 +47,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import CERTAIN, Finding
 from pipeline.core.joints import LIMBS, SIDES, JointSet, finger_joints
 from pipeline.core.problems.finding_codes import CAMERA_DISAGREES, OWN_POINTS_DOUBTFUL
+from pipeline.core.runtime import large_arrays
 from pipeline.export.quality.camera_shifts import CameraShift, find_shifted
 from pipeline.export.quality.capture_checks import capture_checks
 from pipeline.export.quality.concerns import find_concerns
@@ -257,7 +258,12 @@ def encode(report: dict[str, Any]) -> bytes:
 
 def _known(arrays: Iterable[np.ndarray]) -> np.ndarray:
     """Concatenate all values that are not NaN; a single NaN if there are none, so that mean and median are NaN."""
-    flat = np.concatenate([np.zeros(0, np.float32), *(array[np.isfinite(array)] for array in arrays)])
+    arrays = list(arrays)
+    counts = [int(np.count_nonzero(np.isfinite(array))) for array in arrays]
+    flat, stop = large_arrays.empty((sum(counts),), np.result_type(np.float32, *{array.dtype for array in arrays})), 0
+    for array, count in zip(arrays, counts, strict=True):
+        flat[stop : stop + count] = array[np.isfinite(array)]
+        stop += count
     return flat if len(flat) else np.array([np.nan])
 
 

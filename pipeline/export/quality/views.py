@@ -14,6 +14,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import FINGER_JOINTS, JointSet
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import project
 from pipeline.motion.skeleton.marks import has_torso, marks_from_centers
 from pipeline.motion.skeleton.time_series import windows
@@ -117,13 +118,13 @@ def reprojection_error_px(
     positions. Returns distances in single precision, to save memory. NaN where a camera has no observation with a
     sufficient score, and where the joint has no position or is behind the camera.
     """
-    error_px = np.empty(observations.score.shape, np.float32)
+    error_px = large_arrays.empty(observations.score.shape, np.float32)
     for rows in windows(track.num_frames, overlap=0):
         xyz_m = track.xyz_m[rows] if marks_m is None else marks_m(rows)
         for number, camera in enumerate(cameras):
             projected_px = project(camera, xyz_m)
             error_px[rows, number] = np.linalg.norm(projected_px - observations.points_px[rows, number], axis=-1)
-    error_px[~_counts(observations)] = np.nan
+        error_px[rows][~_counts(observations.part(rows))] = np.nan
     return error_px
 
 

@@ -17,7 +17,7 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 
 import numpy as np
 
-from pipeline.core.runtime.npz import encode_arrays, open_archive, save_arrays
+from pipeline.core.runtime.npz import encode_arrays, open_archive, read_array, save_arrays
 from pipeline.run.engine.stage import Context
 
 # A record's class, or a tuple of such: `tuple[X, ...]` is no instance of `type`.
@@ -82,7 +82,7 @@ class RecordArchive:
     def _value(self, kind: Any, document: Any, path: str) -> Any:
         """Value of a type from its JSON value and the archive's arrays."""
         if path in self._arrays:
-            return self._entries[path]
+            return read_array(self._entries, path)
         if document is None:
             return None
         if get_origin(kind) in {UnionType, Union}:

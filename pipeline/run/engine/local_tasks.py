@@ -158,6 +158,12 @@ class _TaskContext(Context):
             raise ValueError(f"The stage {self.task.stage} does not declare interim outputs of {stage}.")
         return [_read(self.job.interim, task) for task in islice(self.job.stage_tasks(stage), tasks.start, tasks.stop)]
 
+    def copy_output(self, stage: str, task: int, path: Path, is_interim: bool = False) -> None:
+        folder = self.job.interim if is_interim else self.job.outputs
+        (copied,) = islice(self.job.stage_tasks(stage), task, task + 1)
+        if not folder.copy(copied.key, path):
+            raise _removed(folder, copied)
+
     def stored_output(self) -> bytes | None:
         return None if self.task is None else self.job.outputs.read(self.task.key)
 
@@ -207,7 +213,7 @@ def _run(job: LocalJob, task: Task, on_unit: Callable[[], None] = lambda: None) 
     if output.interim is not None:
         job.interim.write(task.key, output.interim)
     for key, path in output.pieces.items():
-        job.outputs.write(key, path.read_bytes())
+        job.outputs.write(key, path)
     if job.files is not None:
         for file in output.files:
             _keep(file, job.files.folder)
@@ -271,9 +277,13 @@ class _Worker:
 def _read(folder: OutputFolder, task: Task) -> bytes:
     content = folder.read(task.key)
     if content is None:
-        message = f"An output of the stage {task.stage} was removed or changed in {folder.path} meanwhile."
-        raise PipelineError(f"{message} Run the command again.")
+        raise _removed(folder, task)
     return content
+
+
+def _removed(folder: OutputFolder, task: Task) -> PipelineError:
+    message = f"An output of the stage {task.stage} was removed or changed in {folder.path} meanwhile."
+    return PipelineError(f"{message} Run the command again.")
 
 
 def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:

@@ -3,7 +3,9 @@
 import contextlib
 import fcntl
 import hashlib
+import io
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,15 +53,32 @@ class OutputFolder:
         content = stored[_DIGEST_BYTES:]
         return content if hashlib.sha256(content).digest() == stored[:_DIGEST_BYTES] else None
 
-    def write(self, key: str, content: bytes) -> None:
-        """Store an output, whole or not at all.
+    def copy(self, key: str, target: Path) -> bool:
+        """Copy an output to a file; return false if there is none or its file is damaged."""
+        path = self.path / key
+        try:
+            stored = path.open("rb")
+            os.utime(path)
+        except OSError:
+            return False
+        with stored, target.open("w+b") as copied:
+            digest = stored.read(_DIGEST_BYTES)
+            shutil.copyfileobj(stored, copied)
+            copied.seek(0)
+            return hashlib.file_digest(copied, hashlib.sha256).digest() == digest
+
+    def write(self, key: str, content: bytes | Path) -> None:
+        """Store an output, or the content of a file, whole or not at all.
 
         Raises ``PipelineError`` if the folder can't be written to or the disk is full.
         """
         try:
             with tempfile.NamedTemporaryFile(dir=self.path, prefix="new-", delete=False) as file:
                 try:
-                    file.write(hashlib.sha256(content).digest() + content)
+                    with io.BytesIO(content) if isinstance(content, bytes) else content.open("rb") as source:
+                        file.write(hashlib.file_digest(source, hashlib.sha256).digest())
+                        source.seek(0)
+                        shutil.copyfileobj(source, file)
                     file.close()
                     Path(file.name).replace(self.path / key)
                 except BaseException:

@@ -20,6 +20,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.progress import OnShare, in_units
+from pipeline.core.runtime.resources import release_pages
 
 if TYPE_CHECKING:
     from pipeline.capture.session import Session
@@ -208,6 +209,10 @@ class Context(ABC):
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         """Interim outputs of tasks of an earlier stage, like ``outputs``; see ``Stage.leaves_interim``."""
 
+    @abstractmethod
+    def copy_output(self, stage: str, task: int, path: Path, is_interim: bool = False) -> None:
+        """Copy the output, or the interim output, of a task of an earlier stage to a file: it may exceed the memory."""
+
     def finished(self, stage: str, tasks: slice) -> list[bytes | None]:
         """Outputs of other tasks of a stage that runs, ``None`` of a task that has not ended; none without viewers."""
         return []
@@ -221,8 +226,14 @@ class Context(ABC):
         """Count a unit of the task's progress; may raise to end the task."""
 
     def on_share(self, task: Task) -> OnShare:
-        """Function that counts the units of a task by the share of its work that is done."""
-        return in_units(task.num_units, self.on_unit)
+        """Function that counts the units of a task by the share of its work that is done, and frees large arrays."""
+        on_units = in_units(task.num_units, self.on_unit)
+
+        def on_share(share: float) -> None:
+            release_pages()
+            on_units(share)
+
+        return on_share
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,11 +255,12 @@ class ResultFile:
 class Output:
     """Output of a task."""
 
-    content: bytes  # Bytes that later stages read; see ``pipeline.run.engine.codec``
+    # Bytes that later stages read, or a file of them; see ``pipeline.run.engine.codec``
+    content: bytes | Path
     files: tuple[ResultFile, ...] = ()  # Result files, of the last stage only
     warnings: tuple[Finding, ...] = ()  # Findings about the results, for the last stage only
-    # Bytes that later stages of the same job read, and that are removed when the job ends; ``None``: there are none
-    interim: bytes | None = None
+    # Bytes, or a file, that later stages of the same job read, and that are removed when the job ends; ``None``: none
+    interim: bytes | Path | None = None
     # JSON of ``pipeline.run.engine.first_people``, to be looked at until the job ends; ``None``: nothing to see
     first_people: bytes | None = None
     # Calibration that the job has made: ``files``, texts by format, and ``report``

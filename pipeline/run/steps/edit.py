@@ -32,7 +32,7 @@ def edit(task: stage.Task, context: stage.Context) -> stage.Output:
     path = context.scratch / "people.npz"
     write_people(path, changed_people(identified.people, identified.spans, take))
     context.on_share(task)(1.0)
-    return stage.Output(path.read_bytes())
+    return stage.Output(path)
 
 
 @stage.declared(

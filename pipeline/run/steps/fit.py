@@ -25,7 +25,7 @@ def fit(task: Task, context: Context) -> Output:
     from pipeline.association.identity.likenesses import find_likenesses, seen_in
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import FittedFeet, PersonFitter
-    from pipeline.run.engine.codec import encode
+    from pipeline.run.engine.codec import encode, save
     from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
@@ -47,7 +47,9 @@ def fit(task: Task, context: Context) -> Output:
     ]
     on_share(1.0)
     feet = FittedFeet(tuple(person.points for person in fitted), on_floor)
-    return Output(encode(feet), interim=encode(tuple(person.state for person in fitted)))
+    path = context.scratch / "fits.npz"
+    save(tuple(person.state for person in fitted), path)
+    return Output(encode(feet), interim=path)
 
 
 @declared(
@@ -64,7 +66,7 @@ def hold_feet(task: Task, context: Context) -> Output:
     from pipeline.core.progress import split
     from pipeline.motion.skeleton.animate import FittedFeet, FittedPerson, PersonFitter, floor_under
     from pipeline.motion.skeleton.fitting.fit import FitState
-    from pipeline.run.engine.codec import RecordArchive, encode, output_records
+    from pipeline.run.engine.codec import RecordArchive, output_records, save
     from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
@@ -77,7 +79,7 @@ def hold_feet(task: Task, context: Context) -> Output:
     points = [feet[number % len(feet)].points[number // len(feet)] for number in range(len(people.tracks))]
     floor = floor_under([points[number] for number in feet[0].on_floor or ()], session.timebase.frame_rate_hz)
     path = context.scratch / "states.npz"
-    path.write_bytes(*context.interim(FIT, slice(task.index, task.index + 1)))
+    context.copy_output(FIT, task.index, path, is_interim=True)
     states = RecordArchive(path)  # one of them at a time is in memory
     on_share, numbers = context.on_share(task), range(len(people.tracks))[hold_feet.people(task)]
     finished = [
@@ -92,4 +94,6 @@ def hold_feet(task: Task, context: Context) -> Output:
     ]
     on_share(1.0)
     tracks, motions = (track for track, _ in finished), (motion for _, motion in finished)
-    return Output(encode(Animation(tuple(tracks), tuple(motions), floor)))
+    path = context.scratch / "animation.npz"
+    save(Animation(tuple(tracks), tuple(motions), floor), path)
+    return Output(path)

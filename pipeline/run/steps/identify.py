@@ -30,7 +30,7 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
         people = People(points.people, [unseen(track) for track in points.people])
         write_people(path, people, joints=points.joints)
         context.on_share(task)(1.0)
-        return stage.Output(path.read_bytes())
+        return stage.Output(path)
     session = wanted_frames(context, context.outline())
     association, detections = association_in(context, session), detection_source(context)
     joints = detections.joints(session)
@@ -45,6 +45,5 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     if has_hands(joints):
         people = association.attach(people, gathered_bodies(context)[0], joints)
     write_people(path, people, tracked.damaged, joints)
-    del people
     context.on_share(task)(1.0)
-    return stage.Output(path.read_bytes())
+    return stage.Output(path)

@@ -80,6 +80,11 @@ def no_interim(stage: str, chunks: slice = slice(None)) -> list[bytes]:
     return []
 
 
+def no_copy(stage: str, chunk: int, path: Path, is_interim: bool) -> None:
+    """Copy an output of an earlier stage: none is asked for."""
+    raise AssertionError(stage)
+
+
 def work(
     session: Session,
     artifacts: LocalArtifacts,
@@ -99,6 +104,7 @@ def work(
         on_unit,
         lambda: None,
         no_interim,
+        no_copy,
         found,
     )
 

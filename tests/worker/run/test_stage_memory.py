@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -71,15 +72,22 @@ def work(folder: Path, stage: str) -> Work:
     def interim(stage: str, chunks: slice = slice(None)) -> list[bytes]:
         return outputs(f"{stage}-interim", chunks)
 
-    return Work(claim, session, artifacts, outputs, folder, lambda: None, lambda: None, interim, None)
+    def copy_output(stage: str, chunk: int, path: Path, is_interim: bool) -> None:
+        shutil.copyfile(folder / f"{stage}-interim" if is_interim else folder / stage, path)
+
+    scratch = folder / "scratch"
+    scratch.mkdir(exist_ok=True)
+    return Work(claim, session, artifacts, outputs, scratch, lambda: None, lambda: None, interim, copy_output, None)
 
 
 def run(folder: Path, stage: str) -> None:
     """Run a stage in this process, store its output, and print the peak memory in KiB."""
     output = run_chunk(work(folder, stage))
-    (folder / stage).write_bytes(output.content)
-    if output.interim is not None:
-        (folder / f"{stage}-interim").write_bytes(output.interim)
+    for name, content in ((stage, output.content), (f"{stage}-interim", output.interim)):
+        if isinstance(content, Path):
+            content.replace(folder / name)
+        elif content is not None:
+            (folder / name).write_bytes(content)
     status = Path("/proc/self/status").read_text()
     sys.stdout.write(status.split("VmHWM:")[1].split()[0])
 

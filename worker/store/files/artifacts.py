@@ -103,6 +103,20 @@ def read_artifact(artifacts: ArtifactStore, key: str, sha256: str | None) -> byt
     return content
 
 
+def copy_artifact(artifacts: ArtifactStore, key: str, sha256: str, path: Path) -> None:
+    """Copy a file with a digest. Raises ``NotFound`` or ``DamagedArtifact``."""
+    with artifacts.open(key) as file:
+        _copy(file, key, bytes.fromhex(sha256), path)
+
+
+def _copy(file: BinaryIO, key: str, digest: bytes, path: Path) -> None:
+    with path.open("w+b") as copied:
+        shutil.copyfileobj(file, copied)
+        copied.seek(0)
+        if hashlib.file_digest(copied, "sha256").digest() != digest:
+            raise DamagedArtifact(key)
+
+
 class LocalArtifacts:
     """Artifacts as files in a folder, on one file system. The folder is made if it is missing."""
 
@@ -223,10 +237,18 @@ def _unless_gone(function: object, path: str, error: _ExcInfo) -> None:
         raise error[1]
 
 
-def write_interim(artifacts: ArtifactStore, claim: Claim, content: bytes) -> None:
-    """Store the interim output of a claimed chunk."""
-    stored = hashlib.sha256(content).digest() + content
-    artifacts.put_bytes(interim_key(claim.job_id, claim.job_attempt, claim.output_key), stored)
+def write_interim(artifacts: ArtifactStore, claim: Claim, content: bytes | Path) -> None:
+    """Store the interim output of a claimed chunk, bytes or a file."""
+    key = interim_key(claim.job_id, claim.job_attempt, claim.output_key)
+    if isinstance(content, bytes):
+        artifacts.put_bytes(key, hashlib.sha256(content).digest() + content)
+        return
+    stored = content.with_name(f"stored-{content.name}")
+    with content.open("rb") as source, stored.open("wb") as file:
+        file.write(hashlib.file_digest(source, "sha256").digest())
+        source.seek(0)
+        shutil.copyfileobj(source, file)
+    artifacts.put_file(key, stored)
 
 
 def read_interim(artifacts: ArtifactStore, claim: Claim, output_key: str) -> bytes | None:
@@ -240,6 +262,14 @@ def read_interim(artifacts: ArtifactStore, claim: Claim, output_key: str) -> byt
         return None
     content = stored[_DIGEST_BYTES:]
     return content if hashlib.sha256(content).digest() == stored[:_DIGEST_BYTES] else None
+
+
+def copy_interim(artifacts: ArtifactStore, claim: Claim, output_key: str, path: Path) -> None:
+    """Copy the interim output of a chunk to a file, as ``read_interim``; raises as ``copy_artifact``."""
+    key = interim_key(claim.job_id, claim.job_attempt, output_key)
+    with artifacts.open(key) as file:
+        digest = file.read(_DIGEST_BYTES)
+        _copy(file, key, digest, path)
 
 
 def default_data_dir() -> Path:

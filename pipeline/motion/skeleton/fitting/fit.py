@@ -13,6 +13,7 @@ from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.progress import OnShare, ignore
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.tracks import reproject
 from pipeline.motion.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine, start_from
@@ -194,7 +195,7 @@ class SkeletonFit:
     def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:
         """Fit the skeleton, starting from rotations computed from the positions."""
         num_frames = self._track.num_frames
-        self._root_m, self._quat = np.empty((num_frames, 3)), np.empty((num_frames, len(SKELETON), 4))
+        self._root_m, self._quat = np.empty((num_frames, 3)), large_arrays.empty((num_frames, len(SKELETON), 4))
         start = self._start
         if self._rays_of is None or not self.has_torso:
             self._fit(start, {}, _NUM_STEPS, on_share)
@@ -272,7 +273,7 @@ class SkeletonFit:
 
     def set_pose(self, root_m: Float[np.ndarray, "frames 3"], quat_xyzw: Float[np.ndarray, "frames joints 4"]) -> None:
         """Set the motion, which ``pin`` refines."""
-        self._root_m, self._quat = np.array(root_m), np.array(quat_xyzw)
+        self._root_m, self._quat = np.array(root_m), large_arrays.copy(quat_xyzw)
 
     def pin(
         self,
@@ -460,7 +461,7 @@ def follow(
     If hips and shoulders were never located, the motion's position is arbitrary, and the joint positions stay
     unchanged. Observations are compared with the detector's marks.
     """
-    xyz_m, error_px = np.array(fitted.track.xyz_m), np.empty_like(fitted.track.error_px)
+    xyz_m, error_px = large_arrays.copy(fitted.track.xyz_m), large_arrays.empty(fitted.track.error_px.shape)
     for rows in windows(len(xyz_m), overlap=0, on_share=on_share):
         if fitted.has_torso:
             fitted.place(rows, xyz_m[rows])

@@ -24,6 +24,7 @@ from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.joints import LIMBS, JointSet
 from pipeline.core.progress import OnShare, ignore
+from pipeline.core.runtime import large_arrays
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.landmarks import Landmarks, limb_lengths_m
 from pipeline.motion.skeleton.time_series import Blend, filled_linearly, filled_with_body, windows
@@ -86,7 +87,7 @@ def fit_positions(
     limbs = hanging_limbs(Landmarks(track.xyz_m, track.source, joints, track.views))
     usual_m = lively[:, None] * usual_step_m(joints, timebase)
     may_follow = timebase.frame_rate_hz >= _FOLLOWED_HZ
-    fitted_m = np.empty(track.xyz_m.shape)
+    fitted_m = large_arrays.empty(track.xyz_m.shape)
     fitted = Blend(fitted_m)
     longest_gap = round(MAX_GAP_S * timebase.frame_rate_hz)
     for rows in windows(track.num_frames, on_share=on_share):

@@ -13,6 +13,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import InputError
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import Progress
+from pipeline.core.runtime import large_arrays
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct, reconstruct_to_files
 from pipeline.run.engine.plan import STAGE_BY_NAME
@@ -62,6 +63,17 @@ def test_another_smoothing_reuses_tracks(session: KeypointSession, tmp_path: Pat
     assert (of_other[FIT][0], of_other[HOLD][0]) == (0, 0)
     fresh, _ = run(session, smoothed, None)
     assert written(other, tmp_path / "other") == written(fresh, tmp_path / "fresh")
+
+
+def test_arrays_in_files_change_no_byte(
+    session: KeypointSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_memory = reconstruct_to_files(session, tmp_path / "memory", TRACKING)
+    monkeypatch.setattr(large_arrays, "MIN_BYTES", 1)
+    in_files = reconstruct_to_files(session, tmp_path / "files", TRACKING)
+    assert [path.name for path in in_files.paths] == [path.name for path in in_memory.paths]
+    for path in in_files.paths:
+        assert path.read_bytes() == (tmp_path / "memory" / path.name).read_bytes(), path.name
 
 
 @pytest.mark.slow

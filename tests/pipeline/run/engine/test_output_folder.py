@@ -42,8 +42,19 @@ def test_flipped_byte_is_noticed(tmp_path: Path, position: int) -> None:
     content[position] ^= 1
     (tmp_path / KEY).write_bytes(content)
     assert outputs.read(KEY) is None
+    assert not outputs.copy(KEY, tmp_path / "copied")
     outputs.write(KEY, b"tracks")
     assert outputs.read(KEY) == b"tracks"
+
+
+def test_file_is_stored_and_copied_like_bytes(tmp_path: Path) -> None:
+    outputs = OutputFolder(tmp_path)
+    (tmp_path / "tracks").write_bytes(b"tracks")
+    outputs.write(KEY, tmp_path / "tracks")
+    assert outputs.read(KEY) == b"tracks"
+    assert outputs.copy(KEY, tmp_path / "copied")
+    assert (tmp_path / "copied").read_bytes() == b"tracks"
+    assert not outputs.copy(OTHER, tmp_path / "copied")
 
 
 def test_cut_file_is_noticed(tmp_path: Path) -> None:

@@ -1,0 +1,64 @@
+"""Large arrays: their place in files, and the pages that a process gives back."""
+
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.core.runtime import large_arrays
+from pipeline.core.runtime.npz import decode_arrays, encode_arrays
+from pipeline.core.runtime.resources import release_pages
+
+NUM_BYTES = 2 * large_arrays.MIN_BYTES
+
+
+def shared_bytes() -> int:
+    """Memory of the process that belongs to files."""
+    (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssFile"))
+    return 1024 * int(line.split()[1])
+
+
+def test_large_array_content_survives_release_of_its_pages() -> None:
+    array = large_arrays.full((NUM_BYTES // 8,), 3.0)
+    array[5] = np.nan
+    filled = shared_bytes()
+    release_pages()
+    assert filled - shared_bytes() > 0.9 * NUM_BYTES
+    assert np.isnan(array[5])
+    assert np.nansum(array) == 3.0 * (len(array) - 1)
+
+
+def test_small_array_is_in_memory() -> None:
+    assert large_arrays.empty((10, 2), np.float32).base is None
+    assert large_arrays.empty((NUM_BYTES,), bool).base is not None
+
+
+def test_copied_and_concatenated_large_arrays_equal_numpy_s() -> None:
+    parts: list[np.ndarray] = [np.arange(NUM_BYTES // 8, dtype=np.float32).reshape(-1, 2), np.ones((3, 2))]
+    joined = large_arrays.concatenate(parts)
+    np.testing.assert_array_equal(joined, np.concatenate(parts))
+    assert joined.dtype == np.float64
+    copied = large_arrays.copy(joined)
+    copied[0] = 7.0
+    assert joined[0, 1] == 1.0
+
+
+def test_archive_of_large_and_small_arrays_comes_back() -> None:
+    rng = np.random.default_rng(0)
+    turned = np.asfortranarray(rng.normal(size=(NUM_BYTES // 16, 2)))
+    arrays = {"large": rng.integers(0, 255, NUM_BYTES, np.uint8), "turned": turned, "small": np.array("text")}
+    decoded = decode_arrays(encode_arrays(arrays))
+    for name, array in arrays.items():
+        assert decoded[name].dtype == array.dtype
+        np.testing.assert_array_equal(decoded[name], array)
+
+
+def test_full_disk_is_error_when_large_array_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", refuse)
+    with pytest.raises(OSError, match="No space"):
+        large_arrays.empty((NUM_BYTES,), np.uint8)
