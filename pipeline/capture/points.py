@@ -36,6 +36,7 @@ from pipeline.video.timeline import cut_timebase, require_frames
 
 _TRUNK_M = 0.5
 _HIPS = "left_hip", "right_hip"
+_ANKLES = "left_ankle", "right_ankle"
 # Share of a direction along an axis from which on standing people tell that it points up.
 _UPRIGHT = 0.8
 _TRUNKS_M = Quantity(0.25, 0.8, "metres")
@@ -276,29 +277,16 @@ def _people(
         message = f"A place is not within {TRANSLATION} of the file's unit."
         problems.append(Problem(session_codes.KEYPOINTS_UNREADABLE, message, file=file))
         return []
-    groups: dict[str, list[int]] = {}
-    for k, name in enumerate(table.names):
-        groups.setdefault(name.rpartition(":")[0], []).append(k)
-    known, marks = [], []
-    for person, points in groups.items():
-        own_names = [table.names[k].rpartition(":")[2] for k in points]
-        xyz, (joints, of_skin), pelvis = table.xyz[:, points], find_joints(own_names, names), pelvis_points(own_names)
-        places = {joint: xyz[:, of].mean(1) for joint, of in joints.items()}
-        needs_hips = pelvis is not None and not set(_HIPS) <= places.keys()
-        if needs_hips:  # their centres follow when the unit is known
-            places |= dict.fromkeys(_HIPS, xyz[:, pelvis].mean(1))
-        if set(REQUIRED) <= places.keys() and np.isfinite(_trunk(places)).all(-1).any():
-            known.append((places, xyz[:, pelvis] if needs_hips else None))
-            marks += [f"{person or file}: markers on the skin stand for {', '.join(of_skin)}"] * bool(of_skin)
+    known, marks, missing = _located(file, table, names)
     if not known:
         hint = "Name the points by a table, JSON with our joint by your name: --names FILE, or names of the manifest."
-        message = f"No person has shoulders and hips; the points are {', '.join(table.names[:8])}."
+        lacking = f"; missing are {', '.join(sorted(missing))}" if missing else " in one frame"
+        message = f"No person has shoulders and hips{lacking}. The points are {', '.join(table.names[:8])}."
         problems.append(Problem(session_codes.KEYPOINTS_LAYOUT, message, file=file, hint=hint))
         return []
-    trunk = np.concatenate([_trunk(places) for places, _ in known])
-    trunk = trunk[np.isfinite(trunk).all(-1)]
-    lengths = np.maximum(np.linalg.norm(trunk, axis=-1, keepdims=True), 1e-9)
-    length, ahead = float(np.median(lengths)), np.median(trunk / lengths, axis=0)
+    length, ahead = _direction([_trunk(places) for places, _ in known])
+    legs = [_middle(places, "hip") - _middle(places, "ankle") for places, _ in known if {*_ANKLES} <= places.keys()]
+    _, below = _direction(legs)
     by_length = min(UNITS_M, key=lambda unit: abs(np.log(length * UNITS_M[unit] / _TRUNK_M)))
     unit = units or cast(Units, table.unit if table.unit in UNITS_M else by_length)
     if units is None and not _TRUNKS_M.holds(length * UNITS_M[unit]):
@@ -307,12 +295,15 @@ def _people(
             Problem(session_codes.KEYPOINTS_LAYOUT, message, file=file, field="units", hint="State the unit.")
         )
     axis = cast(Up, max(AXES, key=lambda name: float(AXES[name] @ ahead)))
-    chosen = up or (axis if float(AXES[axis] @ ahead) > _UPRIGHT else table.up)
+    stands = float(AXES[axis] @ ahead) > _UPRIGHT and not float(AXES[axis] @ below) < _UPRIGHT
+    chosen = up or (axis if stands else table.up)
     told = [f"{file} is read as {form} in {unit} with {chosen.upper()} up", *marks]
     told += ["the unit is told by the trunk's length"] * (units is None and table.unit not in UNITS_M)
     told += ["the axis is told by people who stand"] * (up is None and chosen != table.up)
-    evidence = {"unit": unit, "up": chosen}
-    findings.append(Finding(KEYPOINTS_FORM, f"{'; '.join(told)}.", severity="info", evidence=evidence))
+    is_guess = up is None and not stands
+    told += [f"no person stands, and {form} states no axis: state it if people lie or float"] * is_guess
+    finding = Finding(KEYPOINTS_FORM, f"{'; '.join(told)}.", severity="info", evidence={"unit": unit, "up": chosen})
+    findings.append(replace(finding, severity="warning") if is_guess else finding)
     world = UNITS_M[unit] * upright(chosen)
     turns = None
     if table.world_from_segment and len(known) == 1:
@@ -330,6 +321,35 @@ def _people(
     return people
 
 
+def _located(
+    file: str, table: PointTable, names: Mapping[str, str]
+) -> tuple[list[tuple[dict[str, np.ndarray], np.ndarray | None]], list[str], set[str]]:
+    """Joints of each person in the file's unit, with the points of the pelvis where these tell the hips.
+
+    Returns also what is guessed, and the joints that the most complete person lacks.
+    """
+    is_seen = np.isfinite(table.xyz).all(-1).any(0)
+    groups: dict[str, list[int]] = {}
+    for k in np.flatnonzero(is_seen).tolist():
+        groups.setdefault(table.names[k].rpartition(":")[0], []).append(k)
+    known, guesses, missing = [], [], set(REQUIRED)
+    for person, points in groups.items():
+        own_names = [table.names[k].rpartition(":")[2] for k in points]
+        xyz, (joints, of_skin), pelvis = table.xyz[:, points], find_joints(own_names, names), pelvis_points(own_names)
+        places = {joint: xyz[:, of].mean(1) for joint, of in joints.items()}
+        needs_hips = pelvis is not None and not set(_HIPS) <= places.keys()
+        if needs_hips:  # their centres follow when the unit is known
+            places |= dict.fromkeys(_HIPS, xyz[:, pelvis].mean(1))
+        missing = min(missing, {*REQUIRED} - places.keys(), key=len)
+        if set(REQUIRED) <= places.keys() and np.isfinite(_trunk(places)).all(-1).any():
+            known.append((places, xyz[:, pelvis] if needs_hips else None))
+            used = {own_names[k] for of in joints.values() for k in of}
+            twice = ", ".join(sorted(name for name in used if own_names.count(name) > 1))
+            guesses += [f"{person or file}: several points have the name {twice}, the first is read"] * bool(twice)
+            guesses += [f"{person or file}: markers on the skin stand for {', '.join(of_skin)}"] * bool(of_skin)
+    return known, guesses, missing
+
+
 def upright(up: Up) -> Float[np.ndarray, "3 3"]:
     """Rotation of a world with another axis up to Z up; of Y up the inverse of our TRC and BVH."""
     axis = AXES[up]
@@ -341,8 +361,21 @@ def upright(up: Up) -> Float[np.ndarray, "3 3"]:
 
 def _trunk(places: Mapping[str, np.ndarray]) -> Float[np.ndarray, "frames 3"]:
     """Vectors from the middle of the hips to the middle of the shoulders."""
-    shoulders, hips = ((places[f"left_{part}"] + places[f"right_{part}"]) / 2 for part in ("shoulder", "hip"))
-    return shoulders - hips
+    return _middle(places, "shoulder") - _middle(places, "hip")
+
+
+def _middle(places: Mapping[str, np.ndarray], part: str) -> Float[np.ndarray, "frames 3"]:
+    return (places[f"left_{part}"] + places[f"right_{part}"]) / 2
+
+
+def _direction(vectors: Sequence[np.ndarray]) -> tuple[float, Float[np.ndarray, " 3"]]:
+    """Median length and median direction of the known vectors, NaN without any."""
+    known = np.concatenate([np.zeros((0, 3)), *vectors])
+    known = known[np.isfinite(known).all(-1)]
+    if not len(known):
+        return np.nan, np.full(3, np.nan)
+    lengths = np.maximum(np.linalg.norm(known, axis=-1, keepdims=True), 1e-9)
+    return float(np.median(lengths)), np.median(known / lengths, axis=0)
 
 
 def unseen(track: Track3D) -> Observations:

@@ -1,7 +1,8 @@
-"""Content of a C3D file: parameters, analog samples as they are stored, and events.
+"""Content of a C3D file: parameters, points, poses of segments, analog samples as they are stored, and events.
 
 Files of all three processors are read: Intel, DEC and MIPS, with integers or floats. ``ANALOG:FORMAT`` states whether
-integers are unsigned. The number of frames is in ``TRIAL:ACTUAL_*_FIELD`` or ``POINT:LONG_FRAMES``, else in the header.
+integers are unsigned. The header tells how many numbers a frame has: some files have analog numbers without parameters
+of them. The number of frames is in ``TRIAL:ACTUAL_*_FIELD`` or ``POINT:LONG_FRAMES``, else in the header.
 Format: https://www.c3d.org, "The C3D File Format: A Technical User Guide".
 """
 
@@ -19,6 +20,7 @@ _TEXT, _BYTE, _WORD, _FLOAT = -1, 1, 2, 4
 _HEADER = "BBHHHHHfHHf"
 _MAX_WORD = 0xFFFF
 _SECONDS_PER_MINUTE = 60.0
+_OF_POSES = {"USED", "RATIO", "DATA_START"}
 
 
 class C3dError(Exception):
@@ -47,6 +49,9 @@ class C3dContent(NamedTuple):
     samples_per_frame: int  # Of a channel
     samples: np.ndarray  # (samples, channels), float32, as they are stored
     events: tuple[LaboratoryEvent, ...]
+    first_frame: int  # Counted from 0
+    points: np.ndarray  # (frames, points, 3), float32, in the file's unit; NaN where a point is unknown
+    poses: np.ndarray  # (frames, segments, 4, 4), float32, of the group ROTATION; NaN where a segment is unknown
 
 
 def read_content(content: bytes) -> C3dContent:
@@ -58,8 +63,11 @@ def read_content(content: bytes) -> C3dContent:
         processor = content[start + 3]
         if processor not in (_INTEL, _DEC, _MIPS):
             raise C3dError("The parameters of the file state no processor: the file is damaged.")
-        groups = read_parameters(content[start : start + content[start + 2] * BLOCK_BYTES], processor)
-        return _with_samples(content, read_header(content, processor), groups, processor)
+        header = read_header(content, processor)
+        # Some files state fewer blocks of parameters than they have before their points.
+        num_blocks = max(content[start + 2], header.first_block - content[0])
+        groups = read_parameters(content[start : start + num_blocks * BLOCK_BYTES], processor)
+        return _with_samples(content, header, groups, processor)
     except (IndexError, KeyError, TypeError, ValueError, struct.error, OverflowError):
         raise C3dError("The parameters of the file are damaged.") from None
 
@@ -98,7 +106,8 @@ def read_parameters(content: bytes, processor: int = _INTEL) -> dict[str, dict[s
         place += step
     groups: dict[str, dict[str, Value]] = {name: {} for name in names.values()}
     for number, name, value in values:
-        groups[names[number]].setdefault(name, value)
+        if number in names:  # files that were edited keep parameters of groups that are gone
+            groups[names[number]].setdefault(name, value)
     return groups
 
 
@@ -139,19 +148,39 @@ def _with_samples(content: bytes, header: C3dHeader, groups: Groups, processor: 
         raise C3dError(f"The file states {rate_hz:g} frames a second.")
     num_frames, ratio = _num_frames(header, groups), max(header.samples_per_channel, 1)
     kind = "f4" if header.scale < 0 else "u2" if "UNSIGNED" in groups.get("ANALOG", {}).get("FORMAT", []) else "i2"
-    width = 4 * header.num_points + header.samples_per_frame
+    num_samples = header.samples_per_frame
+    if num_samples % ratio:  # the MotionMonitor states channels in place of their samples
+        num_samples = int(np.ravel(groups["ANALOG"]["USED"])[0]) * ratio
+    width = 4 * header.num_points + num_samples
     size, place = int(kind[1]), (header.first_block - 1) * BLOCK_BYTES
-    if not header.samples_per_frame or header.samples_per_frame % ratio:
-        raise C3dError("The file has no analog channels, so nothing beside the cameras.")
     if num_frames < 1 or place < BLOCK_BYTES or len(content) < place + num_frames * width * size:
         whole = max(len(content) - place, 0) // (width * size)
         raise C3dError(f"The file states {num_frames:,} frames, but ends after {whole:,}: copy it again.")
     stored = memoryview(content)[place : place + num_frames * width * size]
-    own = np.frombuffer(stored, f"V{width * size}")
-    numbers = own.view("u1").reshape(num_frames, -1)[:, 4 * header.num_points * size :].tobytes()
-    samples = _numbers(numbers, kind, processor).astype("f4").reshape(num_frames * ratio, -1)
+    frames = np.frombuffer(stored, "u1").reshape(num_frames, -1)
+    located, numbers = np.split(frames, [4 * header.num_points * size], axis=1)
+    samples = _numbers(numbers.tobytes(), kind, processor).astype("f4").reshape(num_frames * ratio, -1)
     events = _events(groups, (header.first_frame - 1) / rate_hz, 1.0 / rate_hz)
-    return C3dContent(groups, rate_hz, num_frames, ratio, samples, events)
+    words = _numbers(located.tobytes(), "f4" if header.scale < 0 else "i2", processor).reshape(num_frames, -1, 4)
+    points = words[..., :3] * np.float32(1.0 if header.scale < 0 else header.scale)
+    points[(words[..., 3] < 0) | (points == 0).all(-1)] = np.nan
+    poses = _poses(content, groups, num_frames, processor)
+    first_frame = header.first_frame - 1
+    return C3dContent(groups, rate_hz, num_frames, ratio, samples, events, first_frame, points, poses)
+
+
+def _poses(content: bytes, groups: Groups, num_frames: int, processor: int) -> np.ndarray:
+    """Poses of segments at the frames: a block of its own, with a matrix by columns and its reliability."""
+    facts = {name: int(np.ravel(value)[0]) for name, value in groups.get("ROTATION", {}).items() if name in _OF_POSES}
+    used, ratio = facts.get("USED", 0), max(facts.get("RATIO", 1), 1)
+    first = (facts.get("DATA_START", 0) - 1) * BLOCK_BYTES
+    size = num_frames * ratio * used * 17 * 4
+    if not used or first < BLOCK_BYTES or len(content) < first + size:
+        return np.full((num_frames, 0, 4, 4), np.nan, "f4")
+    numbers = _numbers(content[first : first + size], "f4", processor).reshape(num_frames, ratio, used, 17)[:, 0]
+    poses = np.swapaxes(numbers[..., :16].reshape(num_frames, used, 4, 4), -1, -2).copy()
+    poses[numbers[..., 16] < 0] = np.nan
+    return poses
 
 
 def _num_frames(header: C3dHeader, groups: Groups) -> int:

@@ -96,6 +96,8 @@ def _read(path: Path) -> C3dContent:
     if len(stored) > MAX_BYTES:
         raise C3dError(f"The file is larger than {MAX_BYTES >> 20} MiB.")
     content = read_content(stored)
+    if not content.samples.size:
+        raise C3dError("The file has no analog channels, so nothing beside the cameras.")
     if content.samples.size > _MAX_SAMPLES:
         raise C3dError(f"The file has more than {_MAX_SAMPLES:,} samples: cut it.")
     kept = {

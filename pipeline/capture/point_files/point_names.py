@@ -1,6 +1,8 @@
-"""Joints from named 3D points: our names, keypoint layouts, bones of characters, Plug-in Gait, Theia's segments.
+"""Joints from named 3D points: our names, keypoint layouts, bones of characters, marker sets, Theia's segments.
 
 Names of Plug-in Gait: Vicon Nexus, "Plug-in Gait Reference Guide" (markers; origins of the segments are joint centres).
+Other sets of markers as in public files: Helen Hayes of Cortex and OpenSim, van Sint Jan's landmarks of Qualisys,
+Rajagopal's, OpenCap's, and Vicon's of the CMU database.
 Names of Theia's segments: https://docs.theiamarkerless.com. Hip centres from markers of the pelvis: Harrington et al.,
 "Prediction of the hip joint centre in adults, children, and patients with cerebral palsy", J. Biomech. 40 (2007).
 """
@@ -15,20 +17,30 @@ from pipeline.capture.keypoint_files.people import JOINT_SETS
 from pipeline.capture.keypoint_files.points import match_joint
 from pipeline.core.joints import SIDES, JointSet
 
-# Names of the left side's points of a joint, in small letters and digits alone, the best first; + is a mean. Before
-# ``|`` centres of joints: origins of Plug-in Gait's and Theia's segments, and bones of characters; after it markers.
+# Points of a joint in small letters and digits alone, the best first. L is the letter of the side, LEFT its word, + a
+# mean. Before ``|`` centres of joints: origins of Plug-in Gait's and Theia's segments, bones of characters, and centres
+# that laboratories add; after it markers on the skin.
 _POINTS: Mapping[str, str] = {
-    "shoulder": "lclo luarm4x4 leftarm leftupperarm upperarml | lsho lac lacr lacromion lacromium",
-    "elbow": "lhuo llarm4x4 leftforearm leftlowerarm lowerarml forearml "
-    "| lelb+lelbm lelb+lmel llel+lmel lelbowlat+lelbowmed lelb lelbowlat",
-    "wrist": "lrao lhand4x4 lefthand handl | lwra+lwrb lwrl+lwrm lwristlat+lwristmed lwri",
-    "hip": "lfep lthigh4x4 leftupleg leftupperleg upperlegl thighl lhjc |",
-    "knee": "lfeo lshank4x4 leftleg leftlowerleg lowerlegl calfl shinl lkjc "
-    "| lkne+lknem lkne+lknm lkne+lmkne lkneelat+lkneemed lkne lkneelat",
-    "ankle": "ltio lfoot4x4 leftfoot footl lajc | lank+lankm lank+lmed lank+lmma lanklelat+lanklemed lank lanklelat",
-    "heel": "| lhee lheel",
-    "big_toe": "leftfootend lefttoebase lefttoes balll toel toesl ltoes4x4 | ltoe lphal1 lmt1",
-    "ear": "| lfhd+lbhd",
+    "shoulder": "Lclo Luarm4x4 LEFTarm LEFTupperarm upperarmL Lsjc Lgh "
+    "| Lsho Lac Lacr Lacromion Lacromium Lsae Lacp Lfsh+Lbsh Lshouldertop Lshould Lshoulder",
+    "elbow": "Lhuo Llarm4x4 LEFTforearm LEFTlowerarm lowerarmL forearmL Lejc "
+    "| Lelb+Lelbm Lelb+Lmel Lelb+Liel Llel+Lmel Llelbow+Lmelbow Lelbow+Lmelbow Lelbowlat+Lelbowmed Lelbowout+Lelbowin "
+    "Lhle+Lhme Lepilat+Lepimed Lcubl+Lcubm Lelb Lelbowlat Lelbowout Lhle Llel Lelbow",
+    "wrist": "Lrao Lhand4x4 LEFThand handL Lwjc "
+    "| Lwra+Lwrb Lwrl+Lwrm Lwristlat+Lwristmed Lwristout+Lwristin Lwristradius+Lwristulna Lwristrad+Lwristuln "
+    "Llwrist+Lmwrist Lrsp+Lusp Lwrr+Lwru Lowr+Liwr Lfaradius+Lfaulna Lwri Lwr Lwrist",
+    "hip": "Lfep Lthigh4x4 LEFTupleg LEFTupperleg upperlegL thighL Lhjc LEFThipcenter |",
+    "knee": "Lfeo Lshank4x4 LEFTleg LEFTlowerleg lowerlegL calfL shinL Lkjc Lkneejoint "
+    "| Lkne+Lknem Lkne+Lknm Lkne+Lmkne Lkne+Lkni Lkne+Lknein Lknel+Lknem Lknee+Lmknee Lknee+Lkneemedial "
+    "Lkneelat+Lkneemed Lkneeout+Lkneein Lfle+Lfme Llfc+Lmfc Llkn+Lmkn "
+    "Lkne Lkneelat Lkneeout Lfle Llfc Llepi Lknel Lknee",
+    "ankle": "Ltio Lfoot4x4 LEFTfoot footL Lajc Lanklejoint "
+    "| Lank+Lankm Lank+Lmed Lank+Lmma Lank+Lankin Lankle+Lmankle Lankle+Lanklemedial Lanklelat+Lanklemed "
+    "Lankleout+Lanklein Lfal+Ltam Llmal+Lmmal Lmall+Lmalm Llak+Lmak "
+    "Lank Lanklelat Lankleout Lfal Llmal Lmall Llak Lankle",
+    "heel": "| Lhee Lheel Lhel Lcal Lcalc Lfcc Lheelback Lcalca",
+    "big_toe": "LEFTfootend LEFTtoebase LEFTtoes ballL toeL toesL Ltoes4x4 | Ltoe Lphal1 Lmt1 Lfm1 Ltoetip",
+    "ear": "| Lfhd+Lbhd",
 }
 _OTHERS = {
     "neck": "neck",
@@ -39,11 +51,10 @@ _OTHERS = {
 }
 _NECK_SETS = sorted(JOINT_SETS.values(), key=lambda joints: len(joints.names))
 OWN_NAMES = {name for joints in _NECK_SETS for name in joints.names}
-_PELVIS = (
-    ("lasi", "rasi", "lpsi", "rpsi"),
-    ("lasis", "rasis", "lpsis", "rpsis"),
-    ("lasis", "rasis", "lbackasis", "rbackasis"),
-)
+# Points of the pelvis: pairs in front, pairs behind, and single points in the middle behind
+_FRONT = ("Lasi", "Lasis", "Lias", "Lfwt", "waistLfront", "Leias")
+_BACK = ("Lpsi", "Lpsis", "Lips", "Lbackasis", "Lbwt", "waistLback", "Leips")
+_SACRUM = ("sacr", "sacrum", "sacral", "vsacral", "vsac")
 
 
 def find_joints(names: Sequence[str], table: Mapping[str, str]) -> tuple[dict[str, list[int]], list[str]]:
@@ -52,13 +63,15 @@ def find_joints(names: Sequence[str], table: Mapping[str, str]) -> tuple[dict[st
     ``table`` has joints by the user's names, and comes first.
     """
     index: dict[str, int] = {}
-    for k, name in enumerate(names):
-        index.setdefault(_plain(name), k)
+    # OpenCap's markers have the names of its keypoints and a suffix.
+    for k in sorted(range(len(names)), key=lambda k: not names[k].endswith("_study")):
+        index.setdefault(_plain(names[k]), k)
     found: dict[str, list[int]] = {}
     marks = []
     for k, name in enumerate(names):
         if name in table or (name in OWN_NAMES and name not in table.values()):
             found.setdefault(table.get(name, name), []).append(k)
+    has_markers = pelvis_points(names) is not None
     for is_marker in (False, True):
         for part, choices in _POINTS.items():
             for side in SIDES:
@@ -67,11 +80,13 @@ def find_joints(names: Sequence[str], table: Mapping[str, str]) -> tuple[dict[st
                 if chosen and f"{side}_{part}" not in found:
                     found[f"{side}_{part}"] = chosen
                     marks += [f"{side}_{part}"] * is_marker
-        if not is_marker:
-            for k, name in enumerate(names):
-                joint = match_joint(name) or _OTHERS.get(_plain(name))
-                if joint is not None:
-                    found.setdefault(joint, [k])
+        if is_marker != has_markers:
+            continue
+        for k, name in enumerate(names):
+            joint = match_joint(name) or _OTHERS.get(_plain(name))
+            # A hip beside the points of the pelvis is a marker on the thigh.
+            if joint is not None and not (has_markers and joint.endswith("hip")):
+                found.setdefault(joint, [k])
     return found, marks
 
 
@@ -81,10 +96,12 @@ def joint_set(found: Mapping[str, object]) -> JointSet:
 
 
 def pelvis_points(names: Sequence[str]) -> list[int] | None:
-    """Points of the pelvis of Plug-in Gait: front left and right, back left and right."""
+    """Markers of the pelvis: front left and right, back left and right, which are one if it is in the middle."""
     plain = [_plain(name) for name in names]
-    known = next((pelvis for pelvis in _PELVIS if set(pelvis) <= set(plain)), None)
-    return None if known is None else [plain.index(name) for name in known]
+    pairs = [[_of_side(name, side) for side in SIDES] for name in _FRONT]
+    behind = [[_of_side(name, side) for side in SIDES] for name in _BACK] + [[name, name] for name in _SACRUM]
+    ends = [next((pair for pair in options if {*pair} <= {*plain}), None) for options in (pairs, behind)]
+    return None if None in ends else [plain.index(name) for pair in ends if pair for name in pair]
 
 
 def hip_centers_m(points_m: Float[np.ndarray, "frames 4 3"]) -> Float[np.ndarray, "2 frames 3"]:
@@ -92,9 +109,10 @@ def hip_centers_m(points_m: Float[np.ndarray, "frames 4 3"]) -> Float[np.ndarray
     front, back = points_m[:, :2].mean(1), points_m[:, 2:].mean(1)
     width = np.linalg.norm(points_m[:, 1] - points_m[:, 0], axis=-1, keepdims=True)
     depth = np.linalg.norm(front - back, axis=-1, keepdims=True)
-    right = (points_m[:, 1] - points_m[:, 0]) / width
-    up = np.cross(right, front - back)
-    up /= np.linalg.norm(up, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):  # points in one place have no direction
+        right = (points_m[:, 1] - points_m[:, 0]) / width
+        up = np.cross(right, front - back)
+        up /= np.linalg.norm(up, axis=-1, keepdims=True)
     ahead = np.cross(up, right)
     middle = front - (0.24 * depth + 0.0099) * ahead - (0.30 * width + 0.0109) * up
     aside = (0.33 * width + 0.0073) * right
@@ -102,7 +120,7 @@ def hip_centers_m(points_m: Float[np.ndarray, "frames 4 3"]) -> Float[np.ndarray
 
 
 def _plain(name: str) -> str:
-    return re.sub("[^a-z0-9]", "", name.lower().removeprefix("mixamorig"))
+    return re.sub("[^a-z0-9]", "", name.lower().removeprefix("mixamorig").removesuffix("_study"))
 
 
 def _indices(option: str, side: str, index: Mapping[str, int]) -> list[int]:
@@ -112,8 +130,4 @@ def _indices(option: str, side: str, index: Mapping[str, int]) -> list[int]:
 
 
 def _of_side(name: str, side: str) -> str:
-    if side == "left":
-        return name
-    if name.startswith("left"):
-        return f"right{name.removeprefix('left')}"
-    return f"r{name[1:]}" if name.startswith("l") else f"{name[:-1]}r"
+    return name.replace("LEFT", side).replace("L", side[0])

@@ -1,4 +1,7 @@
-"""Reader of TRC files: OpenSim's, Pose2Sim's and ours, as Cortex writes them; Y up unless people stand otherwise."""
+"""Reader of TRC files: OpenSim's, Pose2Sim's and ours, as Cortex writes them; Y up unless people stand otherwise.
+
+Cells are separated by tabs; public files also have commas, or spaces.
+"""
 
 from io import StringIO
 from pathlib import Path
@@ -17,10 +20,11 @@ def read_trc(path: Path) -> PointTable:
     lines = path.read_text("utf-8-sig").splitlines()
     if len(lines) <= _NUM_HEADS or not lines[0].startswith("PathFileType"):
         raise KeypointsError("The file has no header of TRC, which begins with PathFileType.")
-    facts = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
-    names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
+    mark = next((mark for mark in "\t," if mark in lines[3]), None)
+    facts = dict(zip(lines[1].split(mark), lines[2].split(mark), strict=False))
+    names = tuple(name.strip() for name in lines[3].split(mark)[2:] if name.strip())
     width = 2 + 3 * len(names)
-    rows = (line.split("\t") for line in lines[_NUM_HEADS:] if line.strip())
+    rows = (line.split(mark) for line in lines[_NUM_HEADS:] if line.strip())
     cells = "\n".join("\t".join((cells + [""] * width)[:width]) for cells in rows)
     values = np.genfromtxt(StringIO(cells), delimiter="\t", ndmin=2)
     return PointTable(

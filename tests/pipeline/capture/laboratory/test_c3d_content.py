@@ -134,3 +134,41 @@ def test_numbers_that_are_texts_are_refused() -> None:
     trial = {"TRIAL": {"ACTUAL_START_FIELD": ["a", "b"], "ACTUAL_END_FIELD": ["c", "d"]}}
     with pytest.raises(C3dError, match="are damaged"):
         read_content(c3d_bytes(LABORATORY, trial, first_frame=65_500))
+
+
+def test_points_are_read_beside_samples_without_parameters_of_channels() -> None:
+    """ezc3d takes the samples of such a file for points; DEC and MIPS files it does not read."""
+    stored = bytearray(small_file(MIPS))
+    content = read_content(bytes(stored))
+    assert content.points.tolist() == [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]]]
+    place = stored.index(b"ANALOG")
+    stored[place : place + 6] = b"OTHERS"
+    content = read_content(bytes(stored))
+    assert "ANALOG" not in content.groups
+    assert content.points.tolist() == [[[1.0, 2.0, 3.0]], [[1.0, 2.0, 3.0]]]
+
+
+def test_negative_residual_makes_point_unknown() -> None:
+    stored = bytearray(small_file(MIPS))
+    stored[1024 + 12 : 1024 + 16] = struct.pack(">f", -1.0)
+    points = read_content(bytes(stored)).points
+    assert np.isnan(points[0]).all()
+    assert points[1].tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_channels_in_place_of_samples_in_header_are_multiplied() -> None:
+    """The MotionMonitor's header states three channels of two samples as three numbers a frame."""
+    stored = small_file(MIPS).replace(struct.pack(">HHHH", 1, 6, 1, 2), struct.pack(">HHHH", 1, 3, 1, 2), 1)
+    used = bytes([4, 1]) + b"USED" + struct.pack(">H", 6) + bytes([2, 0]) + struct.pack(">H", 3) + b"\0"
+    place = stored.index(bytes([5, 1]) + b"SCALE")
+    stored = stored[:place] + used + stored[place : 1024 - len(used)] + stored[1024:]
+    content = read_content(stored)
+    np.testing.assert_array_equal(content.samples, [[10, 11, 12], [13, 14, 15], [20, 21, 22], [23, 24, 25]])
+
+
+def test_parameters_beyond_stated_blocks_are_read() -> None:
+    group = {"LABELS": ["x" * 120] * 4}
+    stored = bytearray(c3d_bytes(LABORATORY, {"NOTES": group}))
+    assert stored[514] > 1
+    stored[514] = 1
+    assert read_content(bytes(stored)).groups["NOTES"]["LABELS"] == group["LABELS"]

@@ -21,8 +21,8 @@ from multicap import (
     reconstruct,
     reconstruct_to_files,
 )
-from pipeline.capture.point_files.point_names import find_joints, hip_centers_m
-from pipeline.capture.point_files.read_points import answer, nearest_rotations, point_readers
+from pipeline.capture.point_files.point_names import find_joints, hip_centers_m, pelvis_points
+from pipeline.capture.point_files.read_points import answer, nearest_rotations, point_readers, read_table
 from pipeline.capture.points import read_names
 from pipeline.capture.preflight_npz import decode_points, encode_points
 from pipeline.core.options.edits import Describe, PersonAt
@@ -162,6 +162,86 @@ def test_centres_of_model_come_before_its_markers() -> None:
     assert not markers
 
 
+SETS = {
+    "helen hayes": "R.Shoulder R.Elbow R.Wrist R.ASIS V.Sacral R.Knee R.Knee.Medial R.Ankle R.Ankle.Medial R.Heel "
+    "R.Toe",
+    "van sint jan": "R_SAE R_HLE R_HME R_RSP R_USP R_IAS R_IPS R_FLE R_FME R_FAL R_TAM R_FCC R_FM1",
+    "rajagopal": "RACR RLEL RMEL RFAradius RFAulna RASI RPSI RLFC RMFC RLMAL RMMAL RCAL RTOE",
+    "opencap": "r_shoulder_study r_lelbow_study r_melbow_study r_lwrist_study r_mwrist_study r.ASIS_study r.PSIS_study "
+    "r_knee_study r_mknee_study r_ankle_study r_mankle_study r_calc_study r_toe_study",
+    "cmu": "RSHO RELB RWRA RWRB RFWT RBWT RKNE RANK RHEE RTOE",
+    "qualisys animation": "RShoulderTop RElbowOut RElbowIn RWristOut RWristIn WaistRFront WaistRBack RKneeOut RKneeIn "
+    "RAnkleOut RHeelBack RToeTip",
+}
+
+
+@pytest.mark.parametrize("markers", SETS.values(), ids=SETS)
+def test_markers_of_other_sets_stand_for_joints(markers: str) -> None:
+    """Names as in public files of these sets; none of the joints is taken for its centre."""
+    right = markers.split()
+    other = [name.replace("RFront", "LFront").replace("RBack", "LBack") for name in right]
+    left = [name if name in {"V.Sacral"} | {*other} - {*right} else f"L{name[1:]}" for name in other]
+    names = list(dict.fromkeys([*right, *left]))
+    joints, of_skin = find_joints(names, {})
+    parts = {"shoulder", "elbow", "wrist", "knee", "ankle", "heel", "big_toe"}
+    assert {f"{side}_{part}" for side in ("left", "right") for part in parts} == {*joints} == {*of_skin}
+    assert pelvis_points(names) is not None
+    medial = [
+        k for k, name in enumerate(names) if name in ("R.Knee.Medial", "R_FME", "RMFC", "r_mknee_study", "RKneeIn")
+    ]
+    assert {*medial} <= {*joints["right_knee"]}
+
+
+def test_marker_of_hip_beside_pelvis_is_no_centre() -> None:
+    assert find_joints(["LHIP", "RHIP"], {})[0].keys() == {"left_hip", "right_hip"}
+    assert not find_joints(["LHIP", "RHIP", "LASI", "RASI", "SACR"], {})[0]
+
+
+def test_point_that_is_never_seen_leaves_its_joint_to_others(take: Path) -> None:
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).all() and name != "left_knee"]
+    points_m = np.stack([*(expected[name][0] for name in names), expected["left_knee"][0]], axis=1)
+    empty = np.full((len(points_m), 1, 3), np.nan)
+    session = Session.from_points(np.append(points_m, empty, axis=1), [*names, "LKNE", "LKJC"], 25.0)
+    np.testing.assert_array_equal(located_m(session)["left_knee"][0], expected["left_knee"][0])
+
+
+def test_leaning_runner_does_not_tell_the_axis(take: Path) -> None:
+    """A trunk that lies points along the floor; legs and trunk together tell that a person stands."""
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).any()]
+    points_m = np.stack([expected[name][0] for name in names], axis=1)
+    middle_m = (expected["left_hip"][0] + expected["right_hip"][0])[:, None] / 2
+    upper = np.array([not any(part in name for part in ("hip", "knee", "ankle", "heel", "toe")) for name in names])
+    lean = Rotation.from_euler("y", 85, degrees=True)
+    bent_m = np.where(
+        upper[:, None], lean.apply((points_m - middle_m).reshape(-1, 3)).reshape(points_m.shape), points_m - middle_m
+    )
+    (finding,) = Session.from_points(bent_m, names, 25.0).findings
+    assert (finding.severity, finding.evidence["up"]) == ("warning", "z")
+    assert "no person stands" in finding.message
+
+
+def test_repeated_name_is_said(take: Path) -> None:
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).any()]
+    points_m = np.stack([expected[name][0] for name in names], axis=1)
+    renamed = ["LKNE" if name in ("left_knee", "left_ankle") else name for name in names]
+    (finding,) = Session.from_points(points_m, renamed, 25.0).findings
+    assert "several points have the name LKNE" in finding.message
+
+
+@pytest.mark.parametrize("mark", [",", " "])
+def test_trc_with_other_separators_is_read(take: Path, tmp_path: Path, mark: str) -> None:
+    lines = (take / "person-1.trc").read_text().splitlines()
+    rows = [mark.join(cell or "nan" for cell in line.split("\t")) for line in lines[5:] if line.strip()]
+    head = [mark.join(filter(None, line.split("\t"))) if mark == " " else line.replace("\t", ",") for line in lines[:5]]
+    (tmp_path / "a.trc").write_text("\n".join([*head, *rows]))
+    (table, _), (own, _) = read_table(tmp_path / "a.trc"), read_table(take / "person-1.trc")
+    assert table.names == own.names
+    np.testing.assert_array_equal(table.xyz, own.xyz)
+
+
 def test_hip_centres_follow_regression_of_harrington() -> None:
     front_mm, back_mm, width_mm = 0.0, -150.0, 240.0
     points_m = (
@@ -258,10 +338,14 @@ def test_netcdf_of_movement_has_its_people(take: Path, tmp_path: Path) -> None:
         ("a.txt", "", r"Files of 3D points end with \.bvh, \.c3d"),
         ("a.trc", "hello", "no header of TRC"),
         ("a.csv", "a,b\n1,2\n", "no columns such as left_knee_x"),
-        ("a.csv", "time,a_x,a_y,a_z\n0,1,2,3\n0.1,1,2,3\n", "No person has shoulders and hips; the points are a"),
+        (
+            "a.csv",
+            "time,a_x,a_y,a_z\n0,1,2,3\n0.1,1,2,3\n",
+            "missing are left_hip, left_shoulder, right_hip, right_shoulder. The points are a",
+        ),
         ("a.bvh", "HIERARCHY", "do not fit the joints' channels"),
         ("a.json", '{"people": []}', "there is no person"),
-        ("a.c3d", "x", "damaged, or not in the format C3D"),
+        ("a.c3d", "x", "The file is no C3D file"),
         ("a.nc", "x", "damaged, or not in the format NetCDF"),
     ],
 )
