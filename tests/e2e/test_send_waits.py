@@ -74,11 +74,14 @@ class Run:
         Kind and number of the request to keep back, from 1; ``None``: none.
     last
         Kind of the request that is never answered: the page stands as it was when it sent it.
+    is_busy
+        True if the service answers the request that was kept back that it is busy.
     """
 
     page: Page
     kept: tuple[str, int] | None
     last: str
+    is_busy: bool = False
     seen: list[tuple[str, int]] = field(default_factory=list)
     held: Route | None = None
     was_held: bool = False
@@ -87,6 +90,7 @@ class Run:
     is_pressed: bool = False
     is_as_meant: bool = True  # whether all actions could be done
     _numbers: Counter[str] = field(default_factory=Counter)
+    _keys: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         """Open the form as a browser that has never seen the page."""
@@ -101,7 +105,8 @@ class Run:
         kind = job_kind(route.request)
         self._numbers[kind] += 1
         self.seen.append((kind, self._numbers[kind]))
-        if kind in self.bodies:
+        if kind in self.bodies and (key := route.request.headers["idempotency-key"]) not in self._keys:
+            self._keys.add(key)  # a busy service is asked again with the same key
             self.bodies[kind].append(dict(route.request.post_data_json or {}))
         if kind == self.last:
             return
@@ -119,9 +124,12 @@ class Run:
         self.is_pressed = True
 
     def release(self) -> None:
-        if self.held is not None:
+        if self.held is not None and self.is_busy:
+            problem = {"code": "too_many_checks", "detail": "Too many of your captures are being checked at once."}
+            self.held.fulfill(status=429, json=problem)
+        elif self.held is not None:
             self.held.continue_()
-            self.held = None
+        self.held = None
 
     def wait(self, condition: Callable[[], object]) -> None:
         for _ in range(1200):
@@ -135,8 +143,8 @@ class Run:
         return bool(self.bodies[self.last])
 
     def is_refused(self) -> bool:
-        """Return whether the page says why it does not send."""
-        return self._refusal().count() > 0
+        """Return whether the page says why it does not send; while it waits for a busy service, it still sends."""
+        return self._refusal().count() > 0 and self.page.locator(".go [type=submit][aria-disabled=true]").count() == 0
 
     def refusals(self) -> list[str]:
         """Reasons for which the page does not send."""
@@ -284,14 +292,15 @@ def test_sent_choices_equal_shown_choices(
                 assert_sent_as_shown(served, run, num_bytes, None)
 
 
+@pytest.mark.parametrize("is_busy", [False, True])
 @pytest.mark.usefixtures("stored")
-def test_second_press_sends_nothing_twice(served: Served, files: dict[str, Path], sample: Sample) -> None:
+def test_second_press_sends_nothing_twice(served: Served, files: dict[str, Path], is_busy: bool) -> None:
     """Send is pressed again while the files are checked; the job has the choices that the page shows."""
     actions, meant = actions_of("another stored one", files)
     num_bytes = {path.name: path.stat().st_size for path in files.values()}
     unreal: Action = lambda run: run.page.get_by_role("radio", name="Unreal Engine").check()  # noqa: E731
     with opened(f"{served.client.base_url}#/new", allowed=ALLOWED) as page:
-        run = used(page, [*actions, unreal], (SESSIONS, 1), JOBS, is_pressed_at_once=False)
+        run = used(page, [*actions, unreal], (SESSIONS, 1), JOBS, is_pressed_at_once=False, is_busy=is_busy)
         assert [len(run.bodies[kind]) for kind in (SESSIONS, JOBS)] == [1, 1]
         assert run.bodies[JOBS][0]["preset"] == "unreal"
         assert_shown(served, run, num_bytes, meant)
@@ -303,10 +312,16 @@ def is_first_of_many(kept: tuple[str, int]) -> bool:
 
 
 def used(
-    page: Page, actions: list[Action], kept: tuple[str, int] | None, last: str, *, is_pressed_at_once: bool
+    page: Page,
+    actions: list[Action],
+    kept: tuple[str, int] | None,
+    last: str,
+    *,
+    is_pressed_at_once: bool,
+    is_busy: bool = False,
 ) -> Run:
     """Use the form and press Send, again while the request is kept back; let it go, and wait for what comes of it."""
-    run = Run(page, kept, last)
+    run = Run(page, kept, last, is_busy)
     for action in actions:
         run.is_held_early |= run.was_held
         action(run)
