@@ -410,14 +410,24 @@ def fit_to_rays(
 ) -> SkeletonFit:
     """Prepare the fit of a person to the rays of all views.
 
-    - ``track``: person as association located it: joints (frames, joints, 3) in metres, NaN where unknown.
-    - ``seen``: observations of the track in distorted pixels, NaN where a camera does not see a joint.
-    - ``offsets``: offsets of the detector's marks from the joints' centres; unused for a person without hips and
-      shoulders.
-    - ``proportions``: known proportions of the person, see ``SkeletonFit``.
+    Parameters
+    ----------
+    track
+        Person as association located it: joints (frames, joints, 3) in metres, NaN where unknown.
+    seen
+        Observations of the track in distorted pixels, NaN where a camera does not see a joint.
+    offsets
+        Offsets of the detector's marks from the joints' centres; unused for a person without hips and shoulders.
+    proportions
+        Known proportions of the person, see ``SkeletonFit``.
 
-    Returns the fit that is ready for its windows of frames, with positions in metres, NaN in gaps.
+    Returns
+    -------
+    SkeletonFit
+        Fit that is ready for its windows of frames, with positions in metres, NaN in gaps.
 
+    Examples
+    --------
     >>> from dataclasses import replace
     >>> from pipeline.association.tracking.track_people import reconstruct_tracks
     >>> from pipeline.association.tracking.tracking_parameters import derive_parameters
