@@ -77,8 +77,9 @@ SCIENCE = {"scipy", "numba", "cv2", "av", "onnxruntime"}
         ("api.cli.commands.serve", "sqlalchemy", SCIENCE | {"fastapi", "alembic"}),
         ("worker.__main__", "celery", SCIENCE | {"fastapi", "alembic"}),
         ("worker.run.reaper", "sqlalchemy", SCIENCE | {"fastapi", "alembic"}),
+        ("pipeline.run.engine.local, pipeline.run.session_check.check_session", "numba", {"cv2", "onnxruntime"}),
     ],
-    ids=["web API", "supervisor", "main process of workers", "reaper"],
+    ids=["web API", "supervisor", "main process of workers", "reaper", "job of keypoints"],
 )
 def test_processes_load_what_they_need(modules: str, needed: str, unneeded: set[str]) -> None:
     """A service starts in seconds: its workers alone load science, and alembic is for an older schema."""

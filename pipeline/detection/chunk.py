@@ -1,6 +1,6 @@
 """Detection in one range of a camera's frames, and concatenation of such ranges."""
 
-from collections.abc import Callable, Collection, Generator, Iterable, Sequence
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import closing
 from dataclasses import replace
 
@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Int, UInt8
 
 from pipeline.capture.session import CaptureSession
-from pipeline.core.data.arrays import no_colours, no_frames, read_only
+from pipeline.core.data.arrays import read_only
 from pipeline.core.data.detections import Detections, MapGrid, PafFields
 from pipeline.core.errors import InputError
 from pipeline.core.joints import JointSet
 from pipeline.core.runtime.resources import give_pictures_back
 from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
-from pipeline.detection.bodies import ImageBodies
-from pipeline.detection.damage import ChangeMeter, join_changes
+from pipeline.detection.bodies import ImageBodies, join_colours, stack_bodies
+from pipeline.detection.damage import ChangeMeter
 from pipeline.detection.decoders.fields import ImageFields
 from pipeline.detection.decoders.openpose import LIMBS
 from pipeline.detection.detector import Detector
@@ -58,7 +58,7 @@ def detect_chunk(
                 )
             on_frame()
     detections = stack_bodies(camera, bodies, len(detector.joints.names))
-    return replace(detections, damaged=_frame_numbers(damaged), colour=_join_colours(colours), changes=meter.changes())
+    return replace(detections, damaged=_frame_numbers(damaged), colour=join_colours(colours), changes=meter.changes())
 
 
 def _detected(
@@ -167,12 +167,6 @@ def camera_images(
         raise InputError([replace(problem, camera=camera) for problem in error.problems]) from error
 
 
-def _join_colours(colours: Sequence[UInt8[np.ndarray, "_ _ _"]]) -> UInt8[np.ndarray, "_ _ _"]:
-    """Concatenate colours of bodies, (bodies, parts, bins); pieces without bodies need not have parts and bins."""
-    measured = [colour for colour in colours if len(colour)]
-    return read_only(np.concatenate(measured)) if measured else no_colours()
-
-
 def _frame_numbers(frames: Sequence[int]) -> Int[np.ndarray, " frames"]:
     return read_only(np.array(frames, np.int64))
 
@@ -196,40 +190,4 @@ def stack_fields(camera: str, numbered: Sequence[tuple[int, ImageFields]]) -> Pa
         ),
         limbs=LIMBS,
         grid=images[0].grid if images else MapGrid((0.0, 0.0), (1.0, 1.0)),
-    )
-
-
-def stack_bodies(camera: str, numbered: Sequence[tuple[int, ImageBodies]], num_joints: int) -> Detections:
-    """Stack the bodies of some frames, in ascending order of the frames, to detections of a camera."""
-    frame = np.repeat([frame for frame, _ in numbered], [len(bodies.score) for _, bodies in numbered]).astype(np.int64)
-    return Detections(
-        camera=camera,
-        frame=read_only(frame),
-        keypoints_px=read_only(
-            np.concatenate([np.empty((0, num_joints, 2)), *(bodies.keypoints_px for _, bodies in numbered)])
-        ),
-        score=read_only(np.concatenate([np.empty((0, num_joints)), *(bodies.score for _, bodies in numbered)])),
-        box_px=read_only(np.concatenate([np.empty((0, 4)), *(bodies.box_px for _, bodies in numbered)])),
-    )
-
-
-def concatenate(chunks: Iterable[Detections], cameras: Sequence[str], num_joints: int) -> dict[str, Detections]:
-    """Concatenate the detections of chunks camera by camera. Chunks of a camera are in order of time."""
-    of_camera: dict[str, list[Detections]] = {camera: [] for camera in cameras}
-    for chunk in chunks:
-        of_camera[chunk.camera].append(chunk)
-    # The chunks of a camera are freed before the chunks of the next camera are joined.
-    return {camera: _join(camera, of_camera.pop(camera), num_joints) for camera in cameras}
-
-
-def _join(camera: str, chunks: Sequence[Detections], num_joints: int) -> Detections:
-    return Detections(
-        camera=camera,
-        frame=np.concatenate([np.empty(0, np.int64), *(chunk.frame for chunk in chunks)]),
-        keypoints_px=np.concatenate([np.empty((0, num_joints, 2)), *(chunk.keypoints_px for chunk in chunks)]),
-        score=np.concatenate([np.empty((0, num_joints)), *(chunk.score for chunk in chunks)]),
-        box_px=np.concatenate([np.empty((0, 4)), *(chunk.box_px for chunk in chunks)]),
-        damaged=np.concatenate([no_frames(), *(chunk.damaged for chunk in chunks)]),
-        colour=_join_colours([chunk.colour for chunk in chunks]),
-        changes=join_changes([chunk.changes for chunk in chunks]),
     )

@@ -5,9 +5,11 @@ declared in ``pipeline.core.options.config`` too: name, label, fields, and where
 """
 
 from collections.abc import Sequence
+from typing import Literal
 
 from pipeline.core.errors import ModelError
-from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, FINGERS, JointOffset, JointOffsets, JointSet
+from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, FINGERS, WHOLE_BODY, JointOffset, JointOffsets, JointSet
+from pipeline.core.options.config import MotionChoices, Networks
 from pipeline.core.runtime.packages.index import PinnedFile
 from pipeline.detection import registry
 from pipeline.detection.own.files import OWN_PREFIX, own_entry
@@ -257,3 +259,28 @@ def find_entry(name: str) -> registry.NetworkEntry:
     if name not in REGISTRY:
         raise ModelError(f"There is no network named {name!r}. Known: {', '.join(REGISTRY)}.")
     return REGISTRY[name]
+
+
+def detected_joint_set(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
+    """Joints of the detections of a reconstruction.
+
+    ``joints`` are the requested joints, see ``MotionChoices.detected_joints``; networks without crops have
+    their own.
+    """
+    return (
+        find_entry(networks.body).joints
+        if networks.near is None
+        else {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}[joints]
+    )
+
+
+def detection_joints(choices: MotionChoices) -> JointSet:
+    """Joints that the networks of a reconstruction detect in videos."""
+    return detected_joint_set(choices.networks, choices.detected_joints)
+
+
+def mark_offsets(choices: MotionChoices) -> JointOffsets:
+    """Offsets of the marks of these networks from the joints' centres."""
+    networks = choices.networks
+    is_refined = networks.near is not None and networks.refines_body
+    return find_entry(networks.near if is_refined and networks.near else networks.body).offsets

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.turns import upright_size_px
 from pipeline.detection.bodies import BodyDetector, ImageBodies
 from pipeline.detection.chunk import camera_images
-from pipeline.detection.profiles.sizes import CameraSizes, SizeRule, body_spans_px, choose_sizes
+from pipeline.detection.profiles.sizes import CameraLook, SizeRule, body_spans_px, choose_sizes
 from pipeline.detection.upright import find_turn
 from pipeline.video.info import VideoInfo
 
@@ -18,14 +17,6 @@ from pipeline.video.info import VideoInfo
 _MIN_KEYFRAMES = 4
 # Limit on the frames that are decoded if there are few keyframes.
 _MAX_DECODED = 3000
-
-
-@dataclass(frozen=True, slots=True)
-class CameraLook:
-    """How the images of a camera are shown to a network."""
-
-    sizes: CameraSizes | None = None  # Their sizes; ``None``: the usual size of the network
-    turn_deg: float = 0.0  # Counterclockwise turn that brings them upright
 
 
 def look_at_people(

@@ -21,7 +21,8 @@ from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.finding_codes import INPUT_DAMAGED
 from pipeline.core.problems.request_codes import VIDEOS_DELETED
 from pipeline.core.runtime.kernel_cache import is_complete
-from pipeline.detection.profiles.profile_detector import detection_joints, open_detection
+from pipeline.detection.entries import detection_joints
+from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.export.character.source import CharacterSource
 from pipeline.run.engine.plan import STAGE_BY_NAME
 from pipeline.run.engine.stage import Context, Origin, Output, SessionFacts, TakeFiles

@@ -58,7 +58,7 @@ if not shows_help():
     from pipeline.capture.keypoints import KeypointSession
     from pipeline.capture.session import CaptureSession
     from pipeline.core.data.cameras import Camera
-    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.detection.entries import detection_joints
     from pipeline.run.engine.local import detect_people
 
 POINTS_HELP = f"Points that determine the world: CSV with the columns {', '.join(POINT_COLUMNS)}, a line for each view."

@@ -25,7 +25,7 @@ if not console.shows_help():
     from pipeline.capture.synchronization.sound_offsets import SoundOffsets, synchronize_with_sound
     from pipeline.core.data.cameras import Synchronization
     from pipeline.core.data.detections import Detections
-    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.detection.entries import detection_joints
     from pipeline.run.engine.local import detect_people
 
 _REPORT = "sync.json"

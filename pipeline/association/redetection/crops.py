@@ -10,8 +10,8 @@ from pipeline.capture.session import CaptureSession
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.progress import OnShare, ignore
-from pipeline.detection.bodies import ImageBodies, boxes_around
-from pipeline.detection.chunk import camera_images, stack_bodies
+from pipeline.detection.bodies import ImageBodies, boxes_around, stack_bodies
+from pipeline.detection.chunk import camera_images
 from pipeline.detection.network import Network
 from pipeline.detection.topdown import blazepose
 from pipeline.detection.topdown.blazepose import LANDMARK, PoseOutputs, score_of_peak

@@ -15,7 +15,7 @@ from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.joints import COCO_17, JointSet
-from pipeline.detection.chunk import concatenate
+from pipeline.detection.bodies import concatenate
 from pipeline.geometry.camera import project
 from pipeline.video.timeline import frames_in
 

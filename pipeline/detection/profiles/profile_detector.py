@@ -2,7 +2,7 @@
 
 import functools
 import threading
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
@@ -11,11 +11,11 @@ from jaxtyping import Bool, Float, UInt8
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.errors import ModelError
-from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointOffsets, JointSet
-from pipeline.core.options.config import MotionChoices, Networks
+from pipeline.core.joints import JointSet
+from pipeline.core.options.config import Networks
 from pipeline.detection.bodies import BodyDetector, ImageBodies
 from pipeline.detection.detector import Detector, open_detector
-from pipeline.detection.entries import find_entry
+from pipeline.detection.entries import detected_joint_set, find_entry
 from pipeline.detection.models import verify
 from pipeline.detection.network import Network, open_network
 from pipeline.detection.own.own_detectors import open_own
@@ -104,12 +104,9 @@ def _by_confidence(*parts: ImageBodies) -> ImageBodies:
 
 __all__ = [
     "BodyDetector",
-    "detected_joint_set",
-    "detection_joints",
     "load_detector",
     "load_landmarks",
     "load_own",
-    "mark_offsets",
     "open_detection",
     "open_landmarks",
     "sized",
@@ -133,8 +130,6 @@ def once_a_process(function: Callable[[_Key], _Value]) -> Callable[[_Key], _Valu
 
     return locked
 
-
-_JOINT_SETS: Mapping[str, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
 
 # Network that finds people for a network of crops of the user's own.
 _FINDER = "movenet-multipose"
@@ -172,27 +167,6 @@ def load_own(name: str, turn_deg: float = 0.0) -> BodyDetector:
         raise ModelError(f"{name} is a network of the registry.")
     body = turned(load_detector(_FINDER), turn_deg) if own.reads_crops else None
     return open_own(_load_network(name), own, body, turn_deg)
-
-
-def detected_joint_set(networks: Networks, joints: Literal["body", "feet", "whole"]) -> JointSet:
-    """Joints of the detections of a reconstruction.
-
-    ``joints`` are the requested joints, see ``MotionChoices.detected_joints``; networks without crops have
-    their own.
-    """
-    return find_entry(networks.body).joints if networks.near is None else _JOINT_SETS[joints]
-
-
-def detection_joints(choices: MotionChoices) -> JointSet:
-    """Joints that the networks of a reconstruction detect in videos."""
-    return detected_joint_set(choices.networks, choices.detected_joints)
-
-
-def mark_offsets(choices: MotionChoices) -> JointOffsets:
-    """Offsets of the marks of these networks from the joints' centres."""
-    networks = choices.networks
-    is_refined = networks.near is not None and networks.refines_body
-    return find_entry(networks.near if is_refined and networks.near else networks.body).offsets
 
 
 def open_detection(

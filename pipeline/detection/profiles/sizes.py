@@ -50,6 +50,14 @@ class CameraSizes:
     border_px: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class CameraLook:
+    """How the images of a camera are shown to a network."""
+
+    sizes: CameraSizes | None = None  # Their sizes; ``None``: the usual size of the network
+    turn_deg: float = 0.0  # Counterclockwise turn that brings them upright
+
+
 RULES: dict[Profile, SizeRule] = {
     "fast": SizeRule(span_px=180.0, max_px=640),
     "balanced": SizeRule(span_px=220.0, max_px=800),

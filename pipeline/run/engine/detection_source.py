@@ -15,11 +15,10 @@ from pipeline.capture.synchronization.session_clocks import largest_shift_s
 from pipeline.core.data.detections import DamagedVideo, Detections, DetectionsByCamera, PafFields
 from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.runtime.npz import decode_arrays
-from pipeline.detection.chunk import concatenate
+from pipeline.detection.bodies import concatenate
 from pipeline.detection.damage import CheckedPictures, damaged_videos
-from pipeline.detection.entries import find_entry
-from pipeline.detection.look import CameraLook
-from pipeline.detection.profiles.profile_detector import detection_joints, mark_offsets
+from pipeline.detection.entries import detection_joints, find_entry, mark_offsets
+from pipeline.detection.profiles.sizes import CameraLook
 from pipeline.run.engine.codec import output_records
 from pipeline.run.engine.stage import DETECT, LOOK, Context, FrameCut, Task
 from pipeline.run.engine.wanted_frames import require_kind

@@ -20,8 +20,8 @@ from pipeline.core.options.job_choices import CalibrationChoices
 from pipeline.core.options.rules import config_problems, require
 from pipeline.core.paths import StrPath
 from pipeline.core.progress import OnProgress, silent
-from pipeline.detection.chunk import concatenate
-from pipeline.detection.profiles.profile_detector import detection_joints
+from pipeline.detection.bodies import concatenate
+from pipeline.detection.entries import detection_joints
 from pipeline.detection.providers.find import current_provider
 from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import OnFile, WrittenResults, no_file

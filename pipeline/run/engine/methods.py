@@ -38,7 +38,7 @@ from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.rules import change_parameters
 from pipeline.core.progress import OnShare, ignore
-from pipeline.detection.chunk import concatenate
+from pipeline.detection.bodies import concatenate
 from pipeline.detection.entries import find_entry
 from pipeline.run.engine.detection_source import detection_source
 from pipeline.run.engine.stage import Context

@@ -16,10 +16,7 @@ from pipeline.core.data.detections import Detections, DetectionsByCamera, PafFie
 from pipeline.core.findings import Finding, SessionCheck, has_error
 from pipeline.core.joints import JointSet
 from pipeline.core.problems.finding_codes import CAMERA_HANGS_TURNED, CLOCKS_DISAGREE, CLOCKS_UNCHECKED
-from pipeline.detection.bodies import ImageBodies
-from pipeline.detection.chunk import concatenate, stack_bodies
-from pipeline.detection.decoders.fields import ImageFields
-from pipeline.detection.decoders.grouping import group
+from pipeline.detection.bodies import ImageBodies, concatenate, stack_bodies
 from pipeline.run.session_check.people import check_people
 from pipeline.run.session_check.sightings import choose_instants, collect_sightings, frames_at
 from pipeline.video.frame_rate import measured_rate_hz
@@ -199,12 +196,15 @@ def _at(
 
 def _grouped(fields: PafFields, wanted: Sequence[int], joints: JointSet) -> list[tuple[int, ImageBodies]]:
     """Bodies of some frames of a camera's peaks and fields."""
-    rows = [(frame, int(row)) for frame in wanted for row in np.flatnonzero(fields.frame == frame)]
-    return [(frame, group(_image(fields, row), fields.limbs, len(joints.names))) for frame, row in rows]
+    # Keypoints have none, and their job need not load what decodes the networks' outputs.
+    from pipeline.detection.decoders.fields import ImageFields  # noqa: PLC0415
+    from pipeline.detection.decoders.grouping import group  # noqa: PLC0415
 
-
-def _image(fields: PafFields, row: int) -> ImageFields:
-    peaks = slice(*np.searchsorted(fields.peak_row, [row, row + 1]))
-    return ImageFields(
-        fields.peak_joint[peaks], fields.peak_px[peaks], fields.peak_score[peaks], fields.fields[row], fields.grid
-    )
+    bodies = []
+    for frame in wanted:
+        for row in np.flatnonzero(fields.frame == frame):
+            at = slice(*np.searchsorted(fields.peak_row, [row, row + 1]))
+            peaks = fields.peak_joint[at], fields.peak_px[at], fields.peak_score[at]
+            image = ImageFields(*peaks, fields.fields[row], fields.grid)
+            bodies.append((frame, group(image, fields.limbs, len(joints.names))))
+    return bodies

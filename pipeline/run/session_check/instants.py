@@ -10,8 +10,8 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.detections import Detections
 from pipeline.core.findings import SessionCheck
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.detection.bodies import BodyDetector
-from pipeline.detection.chunk import camera_images, stack_bodies
+from pipeline.detection.bodies import BodyDetector, stack_bodies
+from pipeline.detection.chunk import camera_images
 from pipeline.detection.profiles.profile_detector import open_finder, shows_lean
 from pipeline.detection.upright import NumberedBodies, find_turn, turn_of_roll
 from pipeline.run.session_check.check_session import check_bodies, frames_at_instants, hanging_cameras

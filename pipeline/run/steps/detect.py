@@ -85,8 +85,9 @@ def detect(task: Task, context: Context) -> Output:
     from pipeline.core.data.detections import Detections
     from pipeline.core.runtime.npz import encode_arrays
     from pipeline.detection.chunk import detect_chunk, detect_fields_chunk, measure_colours
-    from pipeline.detection.look import CameraLook
-    from pipeline.detection.profiles.profile_detector import detection_joints, load_detector, open_detection, turned
+    from pipeline.detection.entries import detection_joints
+    from pipeline.detection.profiles.profile_detector import load_detector, open_detection, turned
+    from pipeline.detection.profiles.sizes import CameraLook
     from pipeline.run.engine.codec import decode, encode, output_records
     from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.timeline import span_s
@@ -116,7 +117,7 @@ def detect(task: Task, context: Context) -> Output:
 def _first_people(task: Task, context: Context, content: bytes) -> bytes | None:
     """People of the task's frames, by the camera that is the last one to be done; clocks have to be known."""
     from pipeline.core.data.detections import Detections
-    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.detection.entries import detection_joints
     from pipeline.run.engine.codec import decode
     from pipeline.run.engine.first_people import first_people
 

@@ -8,8 +8,8 @@ from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import BODY_FEET, COCO_17, JointSet
-from pipeline.detection.bodies import ImageBodies, boxes_around
-from pipeline.detection.chunk import concatenate, detect_chunk
+from pipeline.detection.bodies import ImageBodies, boxes_around, concatenate
+from pipeline.detection.chunk import detect_chunk
 from pipeline.detection.topdown.blazepose import body_region
 from pipeline.detection.topdown.topdown_detector import TopDown
 from pipeline.video.timeline import span_s

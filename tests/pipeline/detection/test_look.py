@@ -10,8 +10,8 @@ from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.detection.bodies import ImageBodies
-from pipeline.detection.look import CameraLook, frames_to_look_at, look_at_people
-from pipeline.detection.profiles.sizes import CameraSizes, SizeRule, choose_sizes
+from pipeline.detection.look import frames_to_look_at, look_at_people
+from pipeline.detection.profiles.sizes import CameraLook, CameraSizes, SizeRule, choose_sizes
 from tests.pipeline.conftest import ring_camera
 from tests.pipeline.media import write_video
 

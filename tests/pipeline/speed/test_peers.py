@@ -25,7 +25,8 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig, Smoothing
 from pipeline.detection import models
-from pipeline.detection.profiles.profile_detector import detection_joints, open_detection
+from pipeline.detection.entries import detection_joints
+from pipeline.detection.profiles.profile_detector import open_detection
 from pipeline.geometry.camera import project
 from pipeline.run.engine.local import detect_people, reconstruct
 from pipeline.run.warm_up import warm_up

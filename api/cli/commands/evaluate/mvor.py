@@ -19,8 +19,8 @@ if not shows_help():
 
     from pipeline.capture.session import open_session
     from pipeline.core.data.detections import Detections
-    from pipeline.detection.chunk import concatenate
-    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.detection.bodies import concatenate
+    from pipeline.detection.entries import detection_joints
     from pipeline.run.engine.local import detect_people, reconstruct
     from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at
     from pipeline.validation.evaluation.datasets import mvor

@@ -13,7 +13,7 @@ from api.cli.options import checked, with_choices
 
 if not shows_help():
     from pipeline.capture.session import open_session
-    from pipeline.detection.profiles.profile_detector import detection_joints
+    from pipeline.detection.entries import detection_joints
     from pipeline.run.engine.local import detect_people, reconstruct
     from pipeline.validation.evaluation.camera_errors import without_extrinsics
     from pipeline.validation.evaluation.datasets.rendered import load_rendered, score_covered_heads, score_rendered

@@ -18,8 +18,8 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import MotionChoices
 from pipeline.core.problems.session_codes import SIZE_MISMATCH
+from pipeline.detection.entries import detection_joints, mark_offsets
 from pipeline.detection.models import verify
-from pipeline.detection.profiles.profile_detector import detection_joints, mark_offsets
 from pipeline.detection.upright import turn_of_roll
 from pipeline.run.live.cameras.detector_pool import (
     DetectedBodies,

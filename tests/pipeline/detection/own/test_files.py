@@ -17,12 +17,12 @@ from pipeline.core.options.config import MotionChoices
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.detection import models
 from pipeline.detection.detector import open_detector
-from pipeline.detection.entries import find_entry
+from pipeline.detection.entries import detected_joint_set, find_entry
 from pipeline.detection.own import files
 from pipeline.detection.own.files import add_own, own_names
 from pipeline.detection.own_network import decode_description, encode_description, usual_network
 from pipeline.detection.profiles import profile_detector
-from pipeline.detection.profiles.profile_detector import detected_joint_set, open_detection
+from pipeline.detection.profiles.profile_detector import open_detection
 from tests.pipeline.detection.own.networks import endless, heatmaps, rtmo, simcc, write
 from tests.waiting import is_alive, wait_for
 

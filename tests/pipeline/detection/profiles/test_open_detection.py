@@ -7,7 +7,8 @@ from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, WHOLE_BODY, JointS
 from pipeline.core.options.config import Networks, ReconstructionConfig
 from pipeline.core.runtime.packages import samples
 from pipeline.detection import models
-from pipeline.detection.profiles.profile_detector import detected_joint_set, open_detection, open_landmarks
+from pipeline.detection.entries import detected_joint_set
+from pipeline.detection.profiles.profile_detector import open_detection, open_landmarks
 from pipeline.detection.topdown.topdown_detector import TopDown
 
 FULL = Networks("movenet-multipose", near="blazepose-full", hand="mediapipe-hand", refines_body=True)
