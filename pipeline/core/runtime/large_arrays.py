@@ -10,17 +10,18 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import DTypeLike
 
-from pipeline.core.runtime.resources import map_file
+from pipeline.core.runtime.resources import map_file, release_pages
 
 MIN_BYTES = 16 * 2**20
 """Size from which on arrays are in files."""
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> np.ndarray:
-    """Make an array with any content. Raises ``OSError`` if the disk is full."""
+    """Make an array; a large one takes the pages of others out. Raises ``OSError`` if the disk is full."""
     num_bytes = math.prod(shape) * np.dtype(dtype).itemsize
     if num_bytes < MIN_BYTES:
         return np.empty(shape, dtype)
+    release_pages()
     return np.frombuffer(map_file(num_bytes), dtype).reshape(shape)
 
 
