@@ -31,7 +31,7 @@ export function planCapture({ draft, rig, options }) {
   return {
     name: draft.name,
     files,
-    views: files.filter((row) => row.kind !== "timestamps" && !laboratory.includes(row)),
+    views: files.filter((row) => !["timestamps", "ownPoints"].includes(row.kind) && !laboratory.includes(row)),
     laboratory,
     laboratoryClock: laboratory.length ? draft.laboratoryClock : null,
     is3d,
@@ -104,10 +104,10 @@ export function sessionBody({ name, files, is3d, laboratory, laboratoryClock, ca
   }
   const ids = (kind) => uploadIds(files, kind);
   const cameras = [...videosByCamera(files)].map(([name, rows]) => cameraManifest(name, orderParts(rows) ?? rows));
-  const [timestamps] = ids("timestamps");
+  const [[timestamps], [ownPoints]] = [ids("timestamps"), ids("ownPoints")];
   return {
     videos: ids("video"), keypoints: [...ids("keypoints"), ...ids("array")], ...(timestamps && { timestamps }),
-    ...laboratoryPart(laboratory), calibration_id: calibration.id,
+    ...(ownPoints && { own_points: ownPoints }), ...laboratoryPart(laboratory), calibration_id: calibration.id,
     manifest: {
       name: captureName(name), cameras, ...(clock && { clock }), ...(frameRate_hz && { frame_rate_hz: frameRate_hz }),
       ...(layout && { layout }), ...(laboratoryClock && { laboratory: { clock: laboratoryClock } }),
@@ -139,6 +139,8 @@ export function findFaults({ files, views, is3d, laboratory, calibration, calibr
     const others = files.filter(({ kind }) => kind !== "points");
     return [...(others.length ? [SEND.faults.points(listed(others))] : []), ...(missing.length ? [SEND.faults.missing(listed(missing))] : [])];
   }
+  const ownPoints = files.filter(({ kind }) => kind === "ownPoints");
+  if (ownPoints.length > 1) faults.push(SEND.faults.ownPoints(listed(ownPoints)));
   if (laboratory.length > 1) faults.push(SEND.faults.laboratory(listed(laboratory)));
   const arrays = views.filter(({ kind }) => kind === "array");
   if (arrays.length && views.length > 1) faults.push(SEND.faults.array(arrays[0].name));

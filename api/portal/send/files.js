@@ -13,6 +13,8 @@ const KINDS = {
 // Files of 3D points by their endings, and what tells others: columns of a table, fields of a document.
 const POINTS = ["trc", "c3d", "bvh", "nc"];
 const POINT_HEADS = { csv: /^[^\n]*[ _.:]x([ _]?\(?(m|cm|mm)\)?)?"?\s*[,;\t]/i, json: /"(joint_names|pose_keypoints_3d|keypoints3d|joints19)"/ };
+// A file about points of the user's own begins with objects or bones.
+const OWN_POINTS = { yaml: /^(objects|bones)\s*:/m, yml: /^(objects|bones)\s*:/m, json: /^\s*\{\s*"(objects|bones)"/ };
 const HEAD_BYTES = 1 << 16;
 const IMAGES = ["png", "jpg", "jpeg", "tif", "tiff", "bmp", "webp"];
 const KEYPOINTS = ["json", "csv", "npy", "h5", "hdf5"];
@@ -65,7 +67,9 @@ export async function detectKind(file) {
   if (ending === "zip") return kindOfZip(await file.slice(-TAIL_BYTES).arrayBuffer());
   if (ARRAY.test(file.name)) return "array";
   if (POINTS.includes(ending) || /3d.*\.npy$/i.test(file.name)) return "points";
-  if (POINT_HEADS[ending]?.test(await file.slice(0, HEAD_BYTES).text())) return "points";
+  const head = POINT_HEADS[ending] || OWN_POINTS[ending] ? await file.slice(0, HEAD_BYTES).text() : "";
+  if (OWN_POINTS[ending]?.test(head)) return "ownPoints";
+  if (POINT_HEADS[ending]?.test(head)) return "points";
   const found = Object.entries(KINDS).find(([, endings]) => endings.includes(ending));
   return found?.[0] ?? (file.type.startsWith("video/") ? "video" : null);
 }

@@ -25,6 +25,7 @@ function timing(row, name, { label, empty, change, isLocked }) {
 
 function cameraField(row, sending, change, isLocked) {
   if (row.kind === "timestamps") return html`<span class="quiet">${SEND.timestamps}</span>`;
+  if (row.kind === "ownPoints") return html`<span class="quiet">${SEND.ownPoints}</span>`;
   if (row.kind === "points") return html`<span class="quiet">${isLaboratory(row, sending.rows) ? SEND.laboratory : SEND.points}</span>`;
   if (row.kind === "array") return html`<span class="quiet">${SEND.allCameras}</span>`;
   if (sending.draft.calibrateFrom) return html`<span class="quiet">${stem(row.name)}</span>`;

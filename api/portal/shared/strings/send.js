@@ -54,6 +54,7 @@ export const SEND = {
   timestamps: "timestamps",
   points: "3D points",
   laboratory: "force plates, channels",
+  ownPoints: "objects, bones",
   laboratoryClock: "The C3D file begins",
   laboratoryClocks: [["", "Automatic"], ["timecode", "At its timecode"], ["trigger", "By its trigger channel"], ["contacts", "By feet and vertical force"]],
   pointsTell: "From the file or the people",
@@ -106,6 +107,7 @@ export const SEND = {
   faults: {
     points: (files) => `3D points are sent alone. Leave out ${files}.`,
     laboratory: (files) => `A capture has one C3D file of a laboratory. Leave out all but one of ${files}.`,
+    ownPoints: (files) => `A capture has one file about points of your own. Leave out all but one of ${files}.`,
     array: (file) => `${file} has the keypoints of all cameras. Leave out this file or the others.`,
     fewCameras: (number) => `Add the videos of at least ${number} cameras.`,
     unit: (calibration) => `Choose the unit of length of ${calibration}.`,
