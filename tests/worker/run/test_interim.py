@@ -36,6 +36,7 @@ class Stages:
     def detect(self, work: Work) -> Output:
         (self.detected if work.found is None else self.measured).append(work.claim.index)
         content = detect(work).content if work.found is None else work.found
+        assert isinstance(content, bytes)
         return Output(content, interim=b"colours of " + content)
 
     def identify(self, work: Work) -> Output:
