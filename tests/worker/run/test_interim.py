@@ -163,6 +163,44 @@ def test_damaged_one_is_made_again(bench: RunnerBench, stages: Stages, damage: C
     assert [failure.problem.code for failure in attempt.failures] == ["output_damaged"]
 
 
+@pytest.mark.parametrize("damage", slow_but([flip], [flip, Path.unlink]))
+@pytest.mark.parametrize("is_interim", [False, True])
+def test_damaged_one_that_is_copied_is_made_again(
+    bench: RunnerBench, stages: Stages, is_interim: bool, damage: Callable[[Path], None]
+) -> None:
+    damages = iter([damage])
+
+    def detect_to_file(work: Work) -> Output:
+        output, path = stages.detect(work), work.scratch / "colours"
+        assert isinstance(output.interim, bytes)
+        path.write_bytes(output.interim)
+        return replace(output, interim=path)
+
+    def damaging(work: Work) -> Output:
+        read = work.interim if is_interim else work.outputs
+        for once in damages:
+            (content,) = read(DETECT, slice(1))
+            files = (path for path in bench.data_dir.rglob("*") if path.is_file())
+            once(
+                min(
+                    (path for path in files if path.read_bytes().endswith(content)),
+                    key=lambda path: path.stat().st_size,
+                )
+            )
+        copy = work.scratch / "copy"
+        work.copy_output(DETECT, 0, copy, is_interim)
+        assert [copy.read_bytes()] == read(DETECT, slice(1))
+        return stages.identify(work)
+
+    bench.stages |= {DETECT: detect_to_file, IDENTIFY: damaging}
+    job = run(bench)
+    assert bench.result(job.id) == RESULT
+    made_again = (NUM_CHUNKS, 1) if is_interim else (NUM_CHUNKS + 1, 0)
+    assert (len(stages.detected), len(stages.measured)) == made_again
+    (attempt,) = bench.store.jobs.attempts(job.id)
+    assert [failure.problem.code for failure in attempt.failures] == ["output_damaged"]
+
+
 @pytest.mark.slow
 def test_interim_outputs_of_failed_job_are_made_again(bench: RunnerBench, stages: Stages) -> None:
     def broken(work: Work) -> Output:
