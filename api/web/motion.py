@@ -176,7 +176,9 @@ class MotionDescription(ResponseModel):
     """Names of the joint angles of the records, in their order; see `/help/biomechanics`."""
     record: MotionRecord
     people: tuple[MotionPerson, ...] = Field(description="People, in the order of their records.")
-    points: tuple[MotionPoint, ...] = Field(default=(), description="Points of the user's own; see `/help/formats`.")
+    points: tuple[MotionPoint, ...] = Field(default=(), description="Points of the user's own; see `/help/own-points`.")
+    point_bones: tuple[tuple[int, int], ...] = Field(default=(), examples=[[[0, 1]]])
+    """Pairs of places in `points` between which bones are."""
     cameras: tuple[MotionCamera, ...] = Field(description="Cameras of the session.")
     clocks: tuple[MotionClock, ...] | None = None
     """Measured clocks of all cameras; null if the declared times were taken."""
