@@ -13,13 +13,22 @@ from typing import Annotated, Any
 import typer
 
 from api.cli import options
-from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, shows_help
+from api.cli.console import (
+    EXIT_FAILED,
+    JsonOption,
+    StageBars,
+    console,
+    emit,
+    print_table,
+    reporting,
+    shows_help,
+    users_cache,
+)
 from pipeline.core.errors import InputError, PipelineError, SessionRefused
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import Units, Up
 
 if not shows_help():
-    from api.cli.console import users_cache
     from api.cli.takes import TakeSource, find_takes
     from pipeline.export.person_files import replacing
     from pipeline.export.quality.report import all_checks

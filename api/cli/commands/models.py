@@ -26,7 +26,7 @@ def list_(as_json: JsonOption = False) -> None:
     """List the networks that Multicap supports."""
     with reporting(as_json):
         known = models.status()
-    cells: "dict[str, Callable[[models.ModelStatus], str]]" = {
+    cells: dict[str, Callable[[models.ModelStatus], str]] = {
         "name": lambda model: model.name,
         "installed": lambda model: "yes" if model.installed else "no",
         "licence": lambda model: model.licence,

@@ -10,7 +10,17 @@ from typing import Annotated, Any, cast, get_args
 import typer
 from pydantic import Field, TypeAdapter
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_session, shows_help, warn
+from api.cli.console import (
+    JsonOption,
+    StageBars,
+    emit,
+    print_table,
+    reporting,
+    show_session,
+    shows_help,
+    users_cache,
+    warn,
+)
 from api.cli.options import ProviderOption, checked, known_up, take_provider, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from pipeline.core.errors import InputError, Problem
@@ -24,7 +34,6 @@ from pipeline.core.problems.session_codes import BONES_INVALID
 from pipeline.run.engine.plan import STAGE_BY_NAME
 
 if not shows_help():
-    from api.cli.console import users_cache
     from api.cli.space import document, require_space, session_space
     from pipeline.capture.laboratory.laboratory_files import WantedClock, is_place, with_laboratory
     from pipeline.capture.session import Session

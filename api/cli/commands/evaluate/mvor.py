@@ -65,8 +65,8 @@ def _from_pictures(
     data: Path, benchmark: "mvor.MvorBenchmark", config: ReconstructionConfig, on_progress: OnProgress
 ) -> "tuple[list[InstantPoses], Mapping[str, Detections]]":
     """Poses at all instants, and detections with the numbers of the instants as frames. A day is a session."""
-    poses: "list[InstantPoses]" = []
-    bodies: "list[Detections]" = []
+    poses: list[InstantPoses] = []
+    bodies: list[Detections] = []
     joints = detection_joints(replace(config, method="tracking"))
     for day in mvor.load_days(data, benchmark):
         session = open_session(day.folders, benchmark.annotations, images_rate_hz=_RATE_HZ)

@@ -22,8 +22,9 @@ def command(
     *,
     data: Annotated[Path, typer.Option(help="The folder of a sequence as the data set's toolbox makes it.")],
     cameras: Annotated[
-        str, typer.Option(metavar="LIST", help="HD cameras, such as 00_03,00_06. Default: the five of VoxelPose.")
-    ] = "",
+        str | None,
+        typer.Option(metavar="LIST", help="HD cameras, such as 00_03,00_06. Default: the five of VoxelPose."),
+    ] = None,
     every: Annotated[
         int | None,
         typer.Option(min=1, max=10_000, help="Compare with every n-th file of poses. Default: as VoxelPose."),
@@ -35,7 +36,7 @@ def command(
     """A sequence of CMU Panoptic: errors of 15 joints, AP at 25 to 150 mm and recall by VoxelPose's protocol."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
         config = replace(checked(chosen), force=True)
-        names = tuple(name.strip() for name in cameras.split(",") if name.strip()) or panoptic.CAMERAS
+        names = panoptic.CAMERAS if cameras is None else tuple(filter(None, map(str.strip, cameras.split(","))))
         sequence = panoptic.load_panoptic(data, names, every or panoptic.EVERY, has_footage=keypoints is None)
         rate_hz = panoptic.FRAME_RATE_HZ if keypoints or sequence.has_images else None
         source = SourceOptions(list(sequence.footage), keypoints=keypoints, frame_rate=rate_hz)
