@@ -2,7 +2,7 @@
 
 import mimetypes
 from collections.abc import Collection
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Annotated, Self
 from urllib.parse import quote
@@ -19,7 +19,7 @@ from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
 from pipeline.core.options import config
 from pipeline.core.options.choices import Choice, Group, Kind
-from pipeline.core.options.config import JobChoices, Preset
+from pipeline.core.options.config import Preset
 from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
@@ -275,11 +275,8 @@ class Purpose:
     @property
     def spec(self) -> dict[str, str | tuple[str, ...]]:
         """Choices of a job's spec that the purpose sets."""
-        return {name: getattr(self, name) for name in CHOICES_OF_PURPOSES}
+        return {"exports": self.exports, "preset": self.preset}
 
-
-CHOICES_OF_PURPOSES = tuple(field.name for field in fields(Purpose) if field.name in JobChoices.__dataclass_fields__)
-"""Choices that each purpose sets."""
 
 PURPOSES = (
     Purpose("motion", "Any software", "BVH in standard names, which most software reads.", ("bvh",)),
