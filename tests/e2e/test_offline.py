@@ -83,7 +83,7 @@ LOADED = {
 def test_view_says_that_it_cannot_load_and_loads_when_it_can(
     served: Served, job: dict[str, Any], view: str, is_known: bool
 ) -> None:
-    """Return whether the browser has the code of the view."""
+    """With the code of the view in the browser, and without."""
     folder = {"New capture": "send", "Captures": "watch", "Calibrations": "calibrations", "Job": "look"}[view]
     start = "#/calibrations" if view == "Captures" else "#/captures"
     with opened("about:blank", allowed=ALLOWED) as page:

@@ -54,7 +54,7 @@ def read_cameras(
 
     Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
     ``known`` are the names of the calibrated cameras; ``None``: there is no calibration yet. With ``is_private``
-    cameras of this machine and of private networks are allowed. ``require_phone`` refuses other sources than phones.
+    cameras of this machine and of private networks are allowed. ``require_phone`` refuses what is no phone.
     """
     errors: list[ErrorItem] = []
     sources: list[CameraSource] = []
