@@ -11,6 +11,7 @@ from playwright.sync_api import expect
 from tests.api.web.sessions.test_own_points_sessions import OBJECTS, own_files
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.serving import Served
+from tests.pipeline.media import write_video
 from tests.pipeline.own_point_scenes import rigid_scene
 
 pytestmark = pytest.mark.xdist_group("page")
@@ -39,10 +40,13 @@ def test_file_about_own_points_is_sent_beside_keypoints(served: Served, tmp_path
         page.get_by_label("Choose files").set_input_files(files)
         expect(page.get_by_text("objects, bones")).to_be_visible()
         (tmp_path / "second.yaml").write_text("objects:\n  box: {}\n")
-        page.get_by_label("Choose files").set_input_files(tmp_path / "second.yaml")
+        video = write_video(tmp_path / "door.mp4", 5)
+        page.get_by_label("Choose files").set_input_files([tmp_path / "second.yaml", video])
         page.get_by_role("button", name="Send and reconstruct").click()
         expect(page.get_by_text("A capture has one file about points of your own")).to_be_visible()
+        expect(page.get_by_text("Files about keypoints can't be sent with videos.")).to_be_visible()
         page.get_by_role("checkbox", name="second.yaml").uncheck()
+        page.get_by_role("checkbox", name=video.name).uncheck()
         assert axe_findings(page) == []
         with page.expect_response("**/v1/sessions", timeout=120_000) as answered:
             page.get_by_role("button", name="Send and reconstruct").click()

@@ -141,6 +141,8 @@ export function findFaults({ files, views, is3d, laboratory, calibration, calibr
   }
   const ownPoints = files.filter(({ kind }) => kind === "ownPoints");
   if (ownPoints.length > 1) faults.push(SEND.faults.ownPoints(listed(ownPoints)));
+  const ofKeypoints = files.filter(({ kind }) => ["timestamps", "ownPoints"].includes(kind));
+  if (ofKeypoints.length && views.some(({ kind }) => kind === "video")) faults.push(SEND.faults.ofKeypoints(listed(ofKeypoints)));
   if (laboratory.length > 1) faults.push(SEND.faults.laboratory(listed(laboratory)));
   const arrays = views.filter(({ kind }) => kind === "array");
   if (arrays.length && views.length > 1) faults.push(SEND.faults.array(arrays[0].name));

@@ -108,6 +108,7 @@ export const SEND = {
     points: (files) => `3D points are sent alone. Leave out ${files}.`,
     laboratory: (files) => `A capture has one C3D file of a laboratory. Leave out all but one of ${files}.`,
     ownPoints: (files) => `A capture has one file about points of your own. Leave out all but one of ${files}.`,
+    ofKeypoints: (files) => `Files about keypoints can't be sent with videos. Leave out ${files}.`,
     array: (file) => `${file} has the keypoints of all cameras. Leave out this file or the others.`,
     fewCameras: (number) => `Add the videos of at least ${number} cameras.`,
     unit: (calibration) => `Choose the unit of length of ${calibration}.`,
