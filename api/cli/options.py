@@ -65,7 +65,7 @@ UnitsOption = Annotated[
     str | None,
     typer.Option(
         metavar="|".join(UNITS_M),
-        help="Unit of the calibration's lengths, if its format does not state it; metres, if they are plausible.",
+        help="Unit of lengths, if the format states none (cmu: 5.64 cm, of the CMU database); metres, if plausible.",
         show_default=False,
     ),
 ]

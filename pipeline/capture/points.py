@@ -298,11 +298,15 @@ def _people(
     stands = float(AXES[axis] @ ahead) > _UPRIGHT and not float(AXES[axis] @ below) < _UPRIGHT
     chosen = up or (axis if stands else table.up)
     told = [f"{file} is read as {form} in {unit} with {chosen.upper()} up", *marks]
-    told += ["the unit is told by the trunk's length"] * (units is None and table.unit not in UNITS_M)
+    is_scaled = units is None and table.unit not in UNITS_M
+    told += ["the unit is told by the trunk's length"] * is_scaled
+    others = [name for name, unit_m in UNITS_M.items() if name != unit and _TRUNKS_M.holds(length * unit_m)]
+    told += [f"it may be {' or '.join(others)}: state it"] * (is_scaled and bool(others))
     told += ["the axis is told by people who stand"] * (up is None and chosen != table.up)
-    is_guess = up is None and not stands
-    told += [f"no person stands, and {form} states no axis: state it if people lie or float"] * is_guess
+    is_floating = up is None and not stands
+    told += [f"no person stands, and {form} states no axis: state it if people lie or float"] * is_floating
     finding = Finding(KEYPOINTS_FORM, f"{'; '.join(told)}.", severity="info", evidence={"unit": unit, "up": chosen})
+    is_guess = is_floating or (is_scaled and others)
     findings.append(replace(finding, severity="warning") if is_guess else finding)
     world = UNITS_M[unit] * upright(chosen)
     turns = None

@@ -94,7 +94,7 @@ export function open(place) {
       const told = [["", SEND.pointsTell]];
       return [
         rateField(SEND.pointsRate, SEND.pointsRateHint, false),
-        select(SEND.calibration.unit, "units", units, [...told, ...SEND.calibration.units.slice(1)]),
+        select(SEND.calibration.unit, "units", units, [...told, ...SEND.calibration.units.slice(1), ...SEND.pointUnits]),
         select(SEND.calibration.up, "up", up, [...told, ["z", "Z"], ...AXES.slice(1)]),
       ];
     }

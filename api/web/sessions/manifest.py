@@ -8,6 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from api.web.contract.schemas import RequestModel, printable_name
 from pipeline.capture.preflight_record import Clock
+from pipeline.core.options.job_choices import Units
 from pipeline.core.problems.request_codes import JSON_VALUE
 
 
@@ -99,7 +100,7 @@ class Manifest(RequestModel):
     pair_by_order: bool = Field(default=False, strict=True)
     """Whether videos or keypoints whose cameras `cameras` does not state are paired with the other cameras by the
     natural order of their names. By default a camera's name is a whole word in the name of its file."""
-    units: Literal["m", "cm", "mm"] | None = Field(default=None, examples=["mm"])
+    units: Units | None = Field(default=None, examples=["mm"])
     """Unit of length of a calibration whose format does not state it (such as TOML). Null: metres; if they are not
     plausible, the answer `calibration_units_unstated` asks for it."""
     up: Up = "z"

@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-Units = Literal["m", "cm", "mm"]
+Units = Literal["m", "cm", "mm", "in", "cmu"]
+"""Units of length; ``cmu`` is the unit of the CMU database's skeletons, an inch by 0.45."""
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
 """Axis of a file's world that points up."""
 
-UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+UNITS_M: Mapping[Units, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "cmu": 0.0254 / 0.45}
 
 BOARD_FORM = "chessboard:COLSxROWS:SQUARE_M or charuco:COLSxROWS:SQUARE_M:MARKER_M:DICTIONARY"
 """Specification of a board."""

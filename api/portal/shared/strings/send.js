@@ -55,6 +55,7 @@ export const SEND = {
   points: "3D points",
   laboratory: "force plates, channels",
   ownPoints: "objects, bones",
+  pointUnits: [["in", "Inches"], ["cmu", "CMU database (5.64 cm)"]],
   laboratoryClock: "The C3D file begins",
   laboratoryClocks: [["", "Automatic"], ["timecode", "At its timecode"], ["trigger", "By its trigger channel"], ["contacts", "By feet and vertical force"]],
   pointsTell: "From the file or the people",

@@ -222,6 +222,31 @@ def test_leaning_runner_does_not_tell_the_axis(take: Path) -> None:
     assert "no person stands" in finding.message
 
 
+@pytest.mark.parametrize(("unit", "unit_m"), [("in", 0.0254), ("cmu", 0.0564444)])
+def test_unit_of_public_bvh_is_told_by_trunk(take: Path, unit: str, unit_m: float) -> None:
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).any()]
+    points_m = np.stack([expected[name][0] for name in names], axis=1)
+    session = Session.from_points(points_m / unit_m, names, 25.0)
+    assert session.findings[0].evidence["unit"] == unit
+    np.testing.assert_allclose(located_m(session)["left_hip"][0], expected["left_hip"][0], atol=1e-5)
+
+
+def test_unit_that_may_be_another_is_a_warning(take: Path) -> None:
+    """A trunk of 30 is a small child's in centimetres, a tall adult's in inches."""
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).any()]
+    points_m = np.stack([expected[name][0] for name in names], axis=1)
+    shoulders_m, hips_m = (
+        points_m[:, [names.index(f"{side}_{part}") for side in ("left", "right")]].mean(1)
+        for part in ("shoulder", "hip")
+    )
+    trunk_m = np.nanmedian(np.linalg.norm(shoulders_m - hips_m, axis=-1))
+    (finding,) = Session.from_points(points_m * 30 / trunk_m, names, 25.0).findings
+    assert (finding.severity, finding.evidence["unit"]) == ("warning", "in")
+    assert "it may be cm: state it" in finding.message
+
+
 def test_repeated_name_is_said(take: Path) -> None:
     expected = positions_m(take)
     names = [name for name in expected if np.isfinite(expected[name][0]).any()]
