@@ -4,6 +4,7 @@ Only plain arrays are written and read, no pickles: a file that was tampered wit
 """
 
 import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -38,20 +39,20 @@ def decode_arrays(content: bytes | BinaryIO) -> dict[str, np.ndarray]:
 def read_array(archive: NpzFile, name: str) -> np.ndarray:
     """Read an array of an archive; a large one into a file, see ``large_arrays``."""
     entries: Any = archive.zip
-    if entries.getinfo(f"{name}.npy").file_size < large_arrays.MIN_BYTES:
+    if (num_bytes := entries.getinfo(f"{name}.npy").file_size) < large_arrays.MIN_BYTES:
         return np.asarray(archive[name])
     with entries.open(f"{name}.npy") as file:
         read_header = npy.read_array_header_1_0 if npy.read_magic(file) == (1, 0) else npy.read_array_header_2_0
         shape, is_fortran, dtype = read_header(file)
         if is_fortran or dtype.hasobject:
             return np.asarray(archive[name])
+        if math.prod(shape) * dtype.itemsize != num_bytes - file.tell():
+            raise ValueError(f"The array {name} of an archive is not whole.")
         array = large_arrays.empty(shape, dtype)
         left = array.data.cast("B")
-        while len(left) and (content := file.read(_READ_BYTES)):
+        while content := file.read(_READ_BYTES):
             left[: len(content)] = content
             left = left[len(content) :]
-    if len(left):
-        raise ValueError(f"The array {name} of an archive is not whole.")
     return array
 
 

@@ -12,7 +12,7 @@ import resource
 import sys
 import tempfile
 from pathlib import Path
-from weakref import WeakSet
+from weakref import WeakValueDictionary
 
 # Constants of glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
@@ -97,7 +97,7 @@ def raise_descriptor_limit() -> int:
     return resource.getrlimit(resource.RLIMIT_NOFILE)[0]
 
 
-_mapped: WeakSet[mmap.mmap] = WeakSet()
+_mapped: WeakValueDictionary[int, mmap.mmap] = WeakValueDictionary()
 
 
 def map_file(num_bytes: int) -> mmap.mmap:
@@ -110,11 +110,12 @@ def map_file(num_bytes: int) -> mmap.mmap:
             os.posix_fallocate(file.fileno(), 0, num_bytes)
         file.truncate(num_bytes)
         mapped = mmap.mmap(file.fileno(), num_bytes)
-    _mapped.add(mapped)
+    _mapped[id(mapped)] = mapped
     return mapped
 
 
 def release_pages() -> None:
     """Take the pages of all mapped files out of the process; they come back from the system's cache, or the disk."""
-    for mapped in tuple(_mapped):
-        mapped.madvise(mmap.MADV_DONTNEED)
+    for reference in _mapped.valuerefs():  # unlike an iterator a list: other threads may map files meanwhile
+        if (mapped := reference()) is not None:
+            mapped.madvise(mmap.MADV_DONTNEED)

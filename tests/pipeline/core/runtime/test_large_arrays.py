@@ -1,11 +1,14 @@
 """Large arrays: their place in files, and the pages that a process gives back."""
 
 import errno
+import io
 import os
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.lib import format as npy
 
 from pipeline.core.runtime import large_arrays
 from pipeline.core.runtime.npz import decode_arrays, encode_arrays
@@ -53,6 +56,17 @@ def test_archive_of_large_and_small_arrays_comes_back() -> None:
     for name, array in arrays.items():
         assert decoded[name].dtype == array.dtype
         np.testing.assert_array_equal(decoded[name], array)
+
+
+def test_header_of_more_than_its_entry_is_refused_before_space_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    stored = io.BytesIO()
+    header = {"descr": "|u1", "fortran_order": False, "shape": (2**40,)}
+    with zipfile.ZipFile(stored, "w") as archive, archive.open("large.npy", "w") as entry:
+        npy.write_array_header_1_0(entry, header)
+        entry.write(bytes(NUM_BYTES))
+    monkeypatch.setattr(os, "posix_fallocate", lambda *_: pytest.fail("space was taken"))
+    with pytest.raises(ValueError, match="large of an archive is not whole"):
+        decode_arrays(stored.getvalue())
 
 
 def test_full_disk_is_error_when_large_array_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
