@@ -10,6 +10,7 @@
 Lengths are metres. Places are in any axes of the object. Names are the names of the keypoint files.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import chain
@@ -32,7 +33,7 @@ from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.core.problems.session_codes import OWN_POINTS_INVALID
 from pipeline.geometry.distance_shapes import DistancesError, places_from_distances
 
-_MAX_BYTES, _MAX_POINTS = 2**18, 50
+_MAX_BYTES, _MAX_POINTS, _MAX_COMPLAINTS = 2**18, 50, 50
 # Extent across the longest line of an object, and across its plane, as shares of the extent along the line, below which
 # it turns unseen about the line, and is its own mirror image.
 _THIN, _FLAT = 0.05, 1e-3
@@ -105,7 +106,8 @@ def with_own_points(session: Session, path: StrPath) -> KeypointSession:
         reason = error.strerror if isinstance(error, OSError) else f"it is no YAML or JSON of {_MAX_BYTES >> 10} KiB"
         raise refuse([("", f"The file can't be read: {reason}.")]) from None
     except ValidationError as error:
-        raise refuse([(".".join(map(str, each["loc"])), f"{each['msg']}.") for each in error.errors()]) from None
+        found = error.errors()[:_MAX_COMPLAINTS]
+        raise refuse([(".".join(map(str, each["loc"])), f"{each['msg']}.") for each in found]) from None
     complaints = list(_complaints(stated, known))
     shapes = []
     for name, entry in stated.objects.items():
@@ -137,8 +139,8 @@ def _complaints(stated: _File, known: tuple[str, ...]) -> Iterator[tuple[str, st
     if unknown := [name for name in used if _as_known(name, known) not in known]:
         shown = listed_names(known) or "none"
         yield "", f"The keypoint files have no points {listed_names(unknown)}; points of your own are {shown}."
-    names = [_as_known(name, known) for name in of_objects]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
+    times = Counter(_as_known(name, known) for name in of_objects)
+    if twice := sorted(name for name, number in times.items() if number > 1):
         yield "objects", f"Points are named twice: {listed_names(twice)}."
     if len(set(map(_object_name, stated.objects))) < len(stated.objects):
         yield "objects", "Two objects have the same letters and digits in their names."

@@ -120,6 +120,12 @@ def test_unusable_file_gets_sentence(
     assert caught.value.problems[0].field == field
 
 
+def test_many_mistakes_give_fifty_problems(session: KeypointSession, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read(session, f"objects: {{a: {{distances: [{','.join(2000 * ['[tip, grip, 0]'])}]}}}}", tmp_path)
+    assert [problem.field for problem in caught.value.problems][-1] == "objects.a.distances.49.2"
+
+
 def test_file_that_is_missing_or_beside_joints_alone_gets_sentence(session: KeypointSession, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         with_own_points(session, tmp_path / "none.yaml")
