@@ -68,7 +68,7 @@ def read_content(content: bytes) -> C3dContent:
         num_blocks = max(content[start + 2], header.first_block - content[0])
         groups = read_parameters(content[start : start + num_blocks * BLOCK_BYTES], processor)
         return _with_samples(content, header, groups, processor)
-    except (IndexError, KeyError, TypeError, ValueError, struct.error, OverflowError):
+    except (IndexError, KeyError, TypeError, ValueError, struct.error, ArithmeticError):
         raise C3dError("The parameters of the file are damaged.") from None
 
 

@@ -172,3 +172,9 @@ def test_parameters_beyond_stated_blocks_are_read() -> None:
     assert stored[514] > 1
     stored[514] = 1
     assert read_content(bytes(stored)).groups["NOTES"]["LABELS"] == group["LABELS"]
+
+
+def test_file_of_neither_points_nor_numbers_with_damaged_place_is_refused() -> None:
+    header = struct.pack("<BBHHHHHfHHf", 2, 0x50, 0, 0, 1, 1, 0, -1.0, 0, 1, 100.0)
+    with pytest.raises(C3dError, match="are damaged"):
+        read_content(header.ljust(512, b"\0") + bytes([1, 0x50, 1, 84]).ljust(512, b"\0"))
