@@ -57,8 +57,8 @@ class OutputFolder:
         """Copy an output to a file; return false if there is none or its file is damaged."""
         path = self.path / key
         try:
-            stored = path.open("rb")
             os.utime(path)
+            stored = path.open("rb")
         except OSError:
             return False
         with stored, target.open("w+b") as copied:
