@@ -86,7 +86,7 @@ def test_all_problems_are_told_at_once(session: KeypointSession, tmp_path: Path)
         "bones: Bones begin and end at one point: grip.",
         "objects.a: Of this object, the points are on one line, about which it can turn unseen: add a point beside it.",
         "objects.b: Of this object, the distances contradict each other, in metres: box_a to box_b is 1 (fits 2), "
-        "box_b to box_c is 1 (fits 2), box_a to box_c is 5 (fits 4).",
+        "box_a to box_c is 5 (fits 4), box_b to box_c is 1 (fits 2).",
         "objects.c: Of this object, several shapes have these distances; state grip to tip, too.",
         "objects.d: Of this object, either points or distances are to be stated.",
     ]
