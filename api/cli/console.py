@@ -37,7 +37,6 @@ from pipeline.core.errors import InputError, PipelineError, SessionRefused
 from pipeline.core.findings import Finding, worst_first
 from pipeline.core.problems.finding_codes import INTERRUPTED, MEMORY_LIMIT
 from pipeline.core.progress import Progress
-from pipeline.run.engine.output_folder import default_cache, is_usable
 from pipeline.run.engine.plan import STAGE_BY_NAME
 
 EXIT_FAILED = 1
@@ -142,18 +141,6 @@ def show_layout(findings: Iterable[Finding], layout: LayoutRead | None) -> None:
     """Print the layout in which keypoints were read, unless a finding states it."""
     if layout is not None and all(finding.message != str(layout) for finding in findings):
         console.print(str(layout), soft_wrap=True)
-
-
-def users_cache() -> Path | None:
-    """Folder of the user's cache; ``None``, with a warning, if it can't be written to."""
-    folder = default_cache()
-    if is_usable(folder):
-        return folder
-    warn(
-        f"Intermediate outputs are not kept for later runs: {folder} can't be written to. Choose a folder by "
-        "--cache, or by MULTICAP_CACHE_HOME."
-    )
-    return None
 
 
 def _print_error(sentence: str) -> None:

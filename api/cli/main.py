@@ -79,12 +79,7 @@ def load(name: str) -> Any:
     return command
 
 
-app = typer.Typer(
-    name="multicap",
-    cls=LazyGroup,
-    no_args_is_help=True,
-    pretty_exceptions_show_locals=False,
-)
+app = typer.Typer(name="multicap", cls=LazyGroup, no_args_is_help=True, pretty_exceptions_show_locals=False)
 
 
 def _show_version(wanted: bool) -> None:

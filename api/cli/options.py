@@ -28,6 +28,7 @@ from pipeline.core.problems.finding_codes import (
 )
 from pipeline.core.problems.request_codes import FRAME_RANGE
 from pipeline.detection.providers.find import current_provider
+from pipeline.run.engine.output_folder import default_cache, is_usable
 
 if not shows_help():
     import numpy as np
@@ -238,6 +239,18 @@ def take_provider(name: str | None) -> None:
         )
     if note := current_provider().note:
         warn(note)
+
+
+def users_cache() -> Path | None:
+    """Folder of the user's cache; ``None``, with a warning, if it can't be written to."""
+    folder = default_cache()
+    if is_usable(folder):
+        return folder
+    warn(
+        f"Intermediate outputs are not kept for later runs: {folder} can't be written to. Choose a folder by "
+        "--cache, or by MULTICAP_CACHE_HOME."
+    )
+    return None
 
 
 def known_up(name: str) -> Up:

@@ -14,8 +14,8 @@ import numpy as np
 import typer
 from jaxtyping import Float
 
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, users_cache, writing
-from api.cli.options import checked, with_choices
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, require_writable, writing
+from api.cli.options import checked, users_cache, with_choices
 from pipeline.capture.session import open_session
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import InputError, Problem

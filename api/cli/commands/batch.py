@@ -13,17 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from api.cli import options
-from api.cli.console import (
-    EXIT_FAILED,
-    JsonOption,
-    StageBars,
-    console,
-    emit,
-    print_table,
-    reporting,
-    shows_help,
-    users_cache,
-)
+from api.cli.console import EXIT_FAILED, JsonOption, StageBars, console, emit, print_table, reporting, shows_help
 from pipeline.core.errors import InputError, PipelineError, SessionRefused
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import Units, Up
@@ -89,9 +79,8 @@ def command(
     ):
         config = options.checked(chosen)
         takes = find_takes(source, out, calibration, frame_rate)
-        choices = _Choices(
-            config, chosen, options.known_units(units), options.known_up(up), pair_by_order, layout, users_cache()
-        )
+        in_world = options.known_units(units), options.known_up(up)
+        choices = _Choices(config, chosen, *in_world, pair_by_order, layout, options.users_cache())
         try:
             for number, take in enumerate(takes, 1):
                 if not as_json:

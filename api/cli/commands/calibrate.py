@@ -26,13 +26,7 @@ from api.cli.console import (
 from api.cli.options import SizeOption, UpOption, checked, known_up, stated_sizes, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.job_choices import (
-    BOARD_FORM,
-    MAX_STATURE_M,
-    MAX_STATURES,
-    MIN_STATURE_M,
-    POINT_COLUMNS,
-)
+from pipeline.core.options.job_choices import BOARD_FORM, MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M, POINT_COLUMNS
 from pipeline.core.problems.finding_codes import SOURCES
 from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN
 from pipeline.core.progress import Progress

@@ -18,14 +18,7 @@ from pipeline.core.problems.finding_codes import OUTPUT_EXISTS
 from pipeline.run.live.cameras.sources import read_sources
 
 if not shows_help():
-    from api.cli.live.outputs import (
-        JsonLines,
-        KeptKeypoints,
-        LiveOutputs,
-        Terminal,
-        opened_output,
-        summary_line,
-    )
+    from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, Terminal, opened_output, summary_line
     from api.cli.live.preview import PreviewPage
     from pipeline.calibration.registry import read_calibration
     from pipeline.run.live.cameras.listeners import capture, vmc_receivers

@@ -10,18 +10,8 @@ from typing import Annotated, Any, cast, get_args
 import typer
 from pydantic import Field, TypeAdapter
 
-from api.cli.console import (
-    JsonOption,
-    StageBars,
-    emit,
-    print_table,
-    reporting,
-    show_session,
-    shows_help,
-    users_cache,
-    warn,
-)
-from api.cli.options import ProviderOption, checked, known_up, take_provider, with_choices
+from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, show_session, shows_help, warn
+from api.cli.options import ProviderOption, checked, known_up, take_provider, users_cache, with_choices
 from api.cli.sources import SourceOptions, parameters, with_source
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
