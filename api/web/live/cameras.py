@@ -66,11 +66,16 @@ def read_cameras(
             pointer = pointer_to("cameras", place, "camera")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         try:
-            sources.append(_source(name, text, devices, None if is_private else resolve_end_s, require_phone))
+            source = _source(name, text, devices, None if is_private else resolve_end_s, require_phone)
         except WrongSourceError as wrong:
             code, message, hint = wrong.args
             pointer = pointer_to("cameras", place, "source")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
+        else:
+            if source.kind == "phone" and source.address in {one.address for one in sources}:
+                message, pointer = "The phone is another camera already.", pointer_to("cameras", place, "source")
+                errors.append(ErrorItem(code=CAMERA_SOURCE, message=message, pointer=pointer, camera=name))
+            sources.append(source)
     if isinstance(start, LiveCamerasStart) and start.vmc and not is_private:
         message = "The service sends nothing by VMC."
         errors.append(ErrorItem(code=PARAMETER_RANGE, message=message, hint=_PRIVATE_HINT, pointer="/vmc"))
