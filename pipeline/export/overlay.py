@@ -22,7 +22,8 @@ from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.export.scene import Rgb, color_rgb
 from pipeline.geometry.camera import project
 from pipeline.video.decode import decode
-from pipeline.video.playback.h264 import even_size_px, write_pictures
+from pipeline.video.playback.h264 import even_size_px
+from pipeline.video.playback.write_pictures import write_pictures
 from pipeline.video.timeline import frames_in
 
 _BLACK: Rgb = (0, 0, 0)

@@ -16,8 +16,9 @@ from jaxtyping import Float, UInt8
 from pipeline.core.data.heads import HeadRegions
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
-from pipeline.video.playback.h264 import even_size_px, write_pictures
+from pipeline.video.playback.h264 import even_size_px
 from pipeline.video.playback.proxy import LONG_SIDE_PX
+from pipeline.video.playback.write_pictures import write_pictures
 
 CELLS = 4
 """Number of cells along the shorter axis of an ellipse; of the longer axis of narrow ellipses there are more."""

@@ -1,16 +1,13 @@
 """H.264 in MP4 as browsers play it: 8 bits, no B-frames, a keyframe every half second, the index in front."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 
 import av
-import numpy as np
 from av.container import OutputContainer
-from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
-from jaxtyping import Float, UInt8
 
 TICKS_A_SECOND = 90_000
 """Time base of the videos: multiples of common frame durations."""
@@ -59,35 +56,3 @@ def add_stream(
     stream.codec_context.time_base = Fraction(1, TICKS_A_SECOND)
     stream.codec_context.thread_count = 1
     return stream
-
-
-# Constant rate factor of x264: thin lines stay sharp.
-_CRF = 23
-
-
-def write_pictures(
-    path: Path,
-    pictures: Iterable[tuple[int, UInt8[np.ndarray, "height width 3"]]],
-    time_s: Float[np.ndarray, " frames"],
-    size_px: tuple[int, int],
-) -> int:
-    """Write pictures at their true times, one at a time.
-
-    ``pictures``: numbers of frames, ascending, and RGB pictures of the size. Frames may be missing. ``time_s``: times
-    of all frames, ascending; in the video the first is 0. ``size_px``: width and height, even numbers. Returns number
-    of frames that were written. Frames at the time of the frame before, within 1/90000 s, are left out.
-    """
-    ticks = np.rint((time_s - time_s[0]) * TICKS_A_SECOND).astype(np.int64).tolist()
-    rate_hz = (len(ticks) - 1) * TICKS_A_SECOND / max(1, ticks[-1])
-    num_frames, last_tick = 0, -1
-    with open_video(path) as container:
-        stream = add_stream(container, size_px, ticks, max(1, round(KEYFRAME_S * rate_hz)), _CRF)
-        for number, image_rgb in pictures:
-            if ticks[number] <= last_tick:
-                continue
-            frame = VideoFrame.from_ndarray(image_rgb, format="rgb24")
-            frame.pts, frame.time_base = ticks[number], Fraction(1, TICKS_A_SECOND)
-            container.mux(stream.encode(frame))
-            num_frames, last_tick = num_frames + 1, ticks[number]
-        container.mux(stream.encode(None))
-    return num_frames
