@@ -100,13 +100,14 @@ def _motion(shape: RigidShape, person: int | None, track: Track3D) -> RigidMotio
     xyz_m = track.xyz_m
     sigma_m = np.zeros(xyz_m.shape[:2]) if track.uncertainty_m is None else np.nan_to_num(track.uncertainty_m)
     sigma_m = np.maximum(sigma_m, _MIN_SIGMA_M)
-    between_m = _between_m(shape.xyz_m[None])[0]
+    between_m = np.linalg.norm(shape.xyz_m[:, None] - shape.xyz_m, axis=-1)
     allowed_m = _MAX_SHARE * between_m.max()
-    apart_m = np.abs(_between_m(xyz_m) - between_m)
-    agrees = apart_m <= allowed_m + _MAX_SIGMAS * np.hypot(sigma_m[:, :, None], sigma_m[:, None])
     known = np.isfinite(xyz_m).all(-1)
-    # The point itself is one of those that it agrees with.
-    used = known & (2 * (agrees.sum(-1) - 1) >= known.sum(-1, keepdims=True) - 1)
+    used = known.copy()
+    for k, lengths_m in enumerate(between_m):  # the distances of all points at once would take much memory
+        apart_m = np.abs(np.linalg.norm(xyz_m - xyz_m[:, k, None], axis=-1) - lengths_m)
+        agrees = apart_m <= allowed_m + _MAX_SIGMAS * np.hypot(sigma_m[:, k, None], sigma_m)
+        used[:, k] &= 2 * (agrees.sum(-1) - 1) >= known.sum(-1) - 1  # a point agrees with itself
     *_, miss_m = _fitted(shape, xyz_m, sigma_m, used)
     used &= miss_m <= allowed_m + _MAX_SIGMAS * sigma_m
     quat, place_m, miss_m = _fitted(shape, xyz_m, sigma_m, used)
@@ -136,7 +137,3 @@ def _fitted(
     place_m[~is_told] = np.nan
     placed_m = np.einsum("fij,pj->fpi", matrices, shape.xyz_m) + place_m[:, None]
     return quat, place_m, np.linalg.norm(xyz_m - placed_m, axis=-1)
-
-
-def _between_m(xyz_m: Float[np.ndarray, "frames points 3"]) -> Float[np.ndarray, "frames points points"]:
-    return np.linalg.norm(xyz_m[:, :, None] - xyz_m[:, None], axis=-1)
