@@ -107,7 +107,11 @@ def map_file(num_bytes: int) -> mmap.mmap:
     """
     with tempfile.TemporaryFile() as file:
         if hasattr(os, "posix_fallocate"):  # else a full disk would end the process at a write
-            os.posix_fallocate(file.fileno(), 0, num_bytes)
+            try:
+                os.posix_fallocate(file.fileno(), 0, num_bytes)
+            except OSError as error:
+                folder = tempfile.gettempdir()
+                raise OSError(error.errno, f"{error.strerror} in {folder}, the folder of TMPDIR") from None
         file.truncate(num_bytes)
         mapped = mmap.mmap(file.fileno(), num_bytes)
     _mapped[id(mapped)] = mapped
