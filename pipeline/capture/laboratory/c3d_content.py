@@ -91,7 +91,7 @@ def read_parameters(content: bytes, processor: int = _INTEL) -> dict[str, dict[s
     order = ">" if processor == _MIPS else "<"
     names: dict[int, str] = {}
     values: list[tuple[int, str, Value]] = []
-    place, step = 4, 1
+    place, step, left = 4, 1, len(content)
     while step and place + 2 < len(content):
         length, number = struct.unpack_from("<bb", content, place)
         name = content[place + 2 : place + 2 + abs(length)].decode("latin-1").strip().upper()
@@ -102,7 +102,11 @@ def read_parameters(content: bytes, processor: int = _INTEL) -> dict[str, dict[s
         if number < 0:
             names[-number] = name
         else:
-            values.append((number, name, _value(content, place + 2, processor)))
+            value, num_bytes = _value(content, place + 2, processor)
+            values.append((number, name, value))
+            left -= num_bytes
+            if left < 0:  # values in each other's bytes would take any memory
+                raise ValueError
         place += step
     groups: dict[str, dict[str, Value]] = {name: {} for name in names.values()}
     for number, name, value in values:
@@ -111,8 +115,8 @@ def read_parameters(content: bytes, processor: int = _INTEL) -> dict[str, dict[s
     return groups
 
 
-def _value(content: bytes, place: int, processor: int) -> Value:
-    """Value of a parameter whose type is at a place."""
+def _value(content: bytes, place: int, processor: int) -> tuple[Value, int]:
+    """Value of a parameter whose type is at a place, and its number of bytes."""
     code, num_dimensions = struct.unpack_from("<bB", content, place)
     dimensions = list(content[place + 2 : place + 2 + num_dimensions])
     place += 2 + num_dimensions
@@ -124,8 +128,9 @@ def _value(content: bytes, place: int, processor: int) -> Value:
     if code == _TEXT:
         width = dimensions[0] if dimensions else 1
         rows = range(0, count, width) if width else ()
-        return [stored[row : row + width].decode("latin-1").rstrip(" \0") for row in rows]
-    return _numbers(stored, {_BYTE: "u1", _WORD: "u2", _FLOAT: "f4"}[code], processor).reshape(dimensions[::-1] or [1])
+        return [stored[row : row + width].decode("latin-1").rstrip(" \0") for row in rows], len(stored)
+    numbers = _numbers(stored, {_BYTE: "u1", _WORD: "u2", _FLOAT: "f4"}[code], processor)
+    return numbers.reshape(dimensions[::-1] or [1]), len(stored)
 
 
 def _numbers(stored: bytes, kind: str, processor: int) -> np.ndarray:

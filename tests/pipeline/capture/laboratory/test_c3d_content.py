@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture.laboratory import c3d_content
-from pipeline.capture.laboratory.c3d_content import C3dError, read_content
+from pipeline.capture.laboratory.c3d_content import C3dError, read_content, read_parameters
 from pipeline.core.data.laboratory import LaboratoryEvent
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.gait.walks import exercise
@@ -178,3 +178,11 @@ def test_file_of_neither_points_nor_numbers_with_damaged_place_is_refused() -> N
     header = struct.pack("<BBHHHHHfHHf", 2, 0x50, 0, 0, 1, 1, 0, -1.0, 0, 1, 100.0)
     with pytest.raises(C3dError, match="are damaged"):
         read_content(header.ljust(512, b"\0") + bytes([1, 0x50, 1, 84]).ljust(512, b"\0"))
+
+
+def test_parameters_in_the_bytes_of_each_other_are_refused() -> None:
+    overlapping = bytes([1, 1]) + b"A" + struct.pack("<HbBBB", 6, 1, 2, 255, 255)
+    parameters = bytes(4) + 20_000 * overlapping
+    with pytest.raises(ValueError, match=r"^$"):
+        read_parameters(parameters)
+    assert read_parameters(bytes(4) + overlapping + bytes(65_025)) == {}
