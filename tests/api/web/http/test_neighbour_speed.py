@@ -50,6 +50,12 @@ class Costly:
     calibration_id: str
     character_id: str
     link_id: str
+    recording_id: str
+
+    @property
+    def capture(self) -> dict[str, bytes]:
+        """Files of a capture: all but the character."""
+        return {name: content for name, content in self.files.items() if not name.endswith(".glb")}
 
     def upload(self, content: bytes) -> str:
         headers = TUS | {"Upload-Length": str(len(content)), "Upload-Metadata": "filename Y2FtLnppcA=="}
@@ -83,11 +89,16 @@ def requests_of(made: Costly) -> dict[str, Callable[[], object]]:
     manifest = {"name": "x" * 50, "cameras": [{"name": f"c{k}", "file": f"c{k}.zip"} for k in range(500)]}
     calibration = json.dumps({"cameras": [{"name": "x"}] * 50_000}).encode()
     names = itertools.count()
+    recording = f"/v1/recordings/{made.recording_id}"
+    source = {"url": "https://127.0.0.1/cam01.mp4", "filename": "cam01.mp4"}
+    hall = {"length_m": 100, "width_m": 100, "cameras": 128, "people": 100}
     return {
         "createUpload": lambda: made.upload(bytes(5_000_000)),
         "describeUploads": lambda: client.options("/v1/uploads", headers=TUS),
         "getUpload": lambda: client.head(made.upload(b"x"), headers=TUS),
         "continueUpload": lambda: made.upload(bytes(20_000_000)),
+        "getUploadState": lambda: client.get(made.upload(b"x")),
+        "createUploadFromUrl": lambda: client.post("/v1/uploads/from-url", json=source),
         "deleteUpload": lambda: client.delete(made.upload(bytes(1_000_000)), headers=TUS),
         "createCalibration": lambda: client.post(
             "/v1/calibrations", files={"calibration": ("c.json", made.files["calibration.json"])}
@@ -105,6 +116,7 @@ def requests_of(made: Costly) -> dict[str, Callable[[], object]]:
         "getCalibrationFile": lambda: client.get(
             f"/v1/calibrations/{made.calibration_id}/file", params={"format": "qca"}
         ),
+        "planRig": lambda: client.get("/v1/calibrations/plan", params=hall),
         "createCharacter": lambda: client.post(
             "/v1/characters", files={"character": ("r.glb", made.files["robot.glb"])}
         ),
@@ -116,18 +128,19 @@ def requests_of(made: Costly) -> dict[str, Callable[[], object]]:
             f"/v1/characters/{made.character_id}", json={"bones": {"LeftShoulder": None}}
         ),
         "deleteCharacter": lambda: client.delete(f"/v1/characters/{made.session_id}"),
-        "createSession": lambda: client.post("/v1/sessions", files=form(made.files, {})[:-1]),
+        "createSession": lambda: client.post("/v1/sessions", files=form(made.capture, {})[:-1]),
         "createSession.manifest": lambda: client.post(
-            "/v1/sessions", files=[*form(made.files, {})[:-1], ("manifest", (None, json.dumps(manifest)))]
+            "/v1/sessions", files=[*form(made.capture, {})[:-1], ("manifest", (None, json.dumps(manifest)))]
         ),
         "createSession.wrong": lambda: client.post("/v1/sessions", json=WIDE),
         "listSessions": lambda: client.get("/v1/sessions", params={"limit": 100, "name": "a"}),
         "getSession": lambda: client.get(session),
+        "deleteSessionVideos": lambda: client.delete(f"{session}/videos"),
         "deleteSession": lambda: client.delete(f"/v1/sessions/{made.job_id}"),
         "renameSession": lambda: client.patch(session, json={"name": str(next(names))}),
         "getSessionVideo": lambda: client.get(f"{session}/videos/cam_00"),
         "getSessionThumbnail": lambda: client.get(f"{session}/thumbnails/cam_00/0"),
-        "createSessionAndJob": lambda: client.post("/v1/jobs", files=form(made.files, {"exports": ["csv"]})),
+        "createSessionAndJob": lambda: client.post("/v1/jobs", files=form(made.capture, {"exports": ["csv"]})),
         "createSessionAndJob.wrong": lambda: client.post("/v1/jobs", json={"spec": WIDE}),
         "createSessionAndJob.deep": lambda: client.post("/v1/jobs", content=b"[" * 60_000),
         "listJobs": lambda: client.get("/v1/jobs", params={"limit": 100}),
@@ -148,11 +161,20 @@ def requests_of(made: Costly) -> dict[str, Callable[[], object]]:
         "getAllResults": lambda: client.get(f"{job}/results.zip"),
         "getResult": lambda: client.get(f"{job}/results/skeletons.json"),
         "getMotionDescription": lambda: client.get(f"{job}/motion/description"),
+        "getFirstPeople": lambda: client.get(f"{job}/motion/first-people"),
         "getMotion": lambda: client.get(f"{job}/motion", params={"from": 0, "to": 100_000}),
         "getSessionEdits": lambda: client.get(f"{session}/edits", params={"job_id": made.job_id}),
         "editSession": lambda: client.put(f"{session}/edits", json={"edits": edits(), "job_id": made.job_id}),
         "editSession.wrong": lambda: client.put(f"{session}/edits", json={"edits": [[]] * 15_000}),
         "addJobFiles": lambda: client.post(f"{job}/files", json={"exports": ["glb"]}),
+        "openRecording": lambda: client.post("/v1/recordings", json={"name": "x"}),
+        "listRecordings": lambda: client.get("/v1/recordings", params={"limit": 100}),
+        "getRecording": lambda: client.get(recording),
+        "renewRecordingLink": lambda: client.post(f"{recording}/join"),
+        "createTakeSession": lambda: client.post(f"{recording}/takes/1/session", json={"job": {}}),
+        "createTakeCalibration": lambda: client.post(f"{recording}/takes/1/calibration", json={"method": "people"}),
+        "deleteRecording": lambda: client.delete(f"/v1/recordings/{made.job_id}"),
+        "listLiveDevices": lambda: client.get("/v1/live/devices"),
         "getOptions": lambda: client.get("/v1/options"),
         "getSample": lambda: client.get("/v1/sample"),
         "getSampleFile": lambda: client.get("/v1/sample/Calib.qca.txt"),
@@ -199,7 +221,9 @@ def prepare(client: httpx2.Client) -> Costly:
     wait_for(lambda: client.get(f"/v1/jobs/{job['id']}").json()["state"] == "succeeded", timeout_s=120.0)
     address = f"/v1/jobs/{job['id']}/links"
     link = client.post(address, json={"scope": "job", "expires_in_s": 60}).raise_for_status().json()
-    return Costly(client, files, job["session_id"], job["id"], made["id"], robot["id"], link["id"])
+    recording = client.post("/v1/recordings", json={"name": "Rehearsal"}).raise_for_status().json()
+    made_ids = made["id"], robot["id"], link["id"], recording["id"]
+    return Costly(client, files, job["session_id"], job["id"], *made_ids)
 
 
 def test_every_operation_is_driven() -> None:
@@ -209,7 +233,7 @@ def test_every_operation_is_driven() -> None:
     }
     # The operations with one kind of body have the handlers of those with both.
     operations = {name for name in operations if not name.endswith(("FromFiles", "FromUploads"))}
-    driven = requests_of(Costly(httpx2.Client(), {"calibration.json": b"", "robot.glb": b""}, "", "", "", "", ""))
+    driven = requests_of(Costly(httpx2.Client(), {"calibration.json": b"", "robot.glb": b""}, "", "", "", "", "", ""))
     assert {name.partition(".")[0] for name in driven} - {"contract"} == operations
 
 
