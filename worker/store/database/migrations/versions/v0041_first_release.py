@@ -13,5 +13,5 @@ down_revision = None
 
 
 def upgrade() -> None:
-    """Make the tables."""
-    metadata.create_all(op.get_bind())
+    """Make the tables; a database without a revision that has one of them is not Multicap's."""
+    metadata.create_all(op.get_bind(), checkfirst=False)
