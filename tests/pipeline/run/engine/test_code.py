@@ -20,6 +20,7 @@ NOT_NUMERIC = {
     "google",
     "httpx2",
     "jaxtyping",
+    *("matplotlib", "pandas", "xarray"),  # they show what is reconstructed in notebooks
     "opensim",  # its numbers belong to no reusable output
     "platformdirs",
     "pxr",
