@@ -24,8 +24,8 @@ from pipeline.export.results import keep_people, write_files
 from pipeline.export.writers import bvh, c3d_file, csv_table, fbx, glb, skeletons_json, trc, vrma
 from pipeline.export.writers.registry import PersonContent, find_writer
 from pipeline.motion.angles.compute import joint_angles
-from pipeline.motion.skeleton import animate
 from pipeline.motion.skeleton.model import forward_kinematics
+from pipeline.run.engine import refitting
 from pipeline.run.engine.local import reconstruct, session_facts
 from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
 from pipeline.run.engine.plan import STAGE_BY_NAME, plan
@@ -89,7 +89,7 @@ def test_people_are_fitted_once_whatever_is_edited_elsewhere(
     exchange = Exchange(person=1, other=2, start_frame=HALF)
     edited(session, cache, exchange)
     alone = edited(session, None, Split(person=3, frame=HALF), exchange, Merge(person=3, other=4))
-    monkeypatch.setattr(animate, "animate", fail)
+    monkeypatch.setattr(refitting, "animate", fail)
     # The exchanged people have been fitted; the third one is whole again.
     found = edited(session, cache, Split(person=3, frame=HALF), exchange, Merge(person=3, other=4))
     assert [motion.track_id for motion in found.motions] == [motion.track_id for motion in alone.motions]
