@@ -12,7 +12,7 @@ const KINDS = {
 };
 // Files of 3D points by their endings, and what tells others: columns of a table, fields of a document.
 const POINTS = ["trc", "c3d", "bvh", "nc"];
-const POINT_HEADS = { csv: /^[^\n]*[ _.:]x([ _]?\(?(m|cm|mm)\)?)?"?\s*[,;\t]/i, json: /"(joint_names|pose_keypoints_3d|keypoints3d|joints19)"/ };
+const POINT_HEADS = { csv: /^[^\n]*[ _.:]x([ _]?\(?(m|cm|mm)\)?)?"?\s*[,;\t]/i, json: /"joint_names"|"(pose_keypoints_3d|keypoints3d|joints19)"\s*:\s*\[\s*[-\d[]/ };
 // A file about points of the user's own begins with objects or bones.
 const OWN_POINTS = { yaml: /^(objects|bones)\s*:/m, yml: /^(objects|bones)\s*:/m, json: /^\s*\{\s*"(objects|bones)"/ };
 const HEAD_BYTES = 1 << 16;

@@ -33,6 +33,15 @@ test("an array of the points of all cameras", async () => {
   assert.deepEqual(kinds, ["array", "points"]);
 });
 
+test("a document is 3D points, own points or a calibration by its content", async () => {
+  const contents = {
+    '{"people":[{"pose_keypoints_3d":[0.1,2.5]}]}': "points", '[{"id":0,"keypoints3d":[[-1.2,0,1,1]]}]': "points", '{"joint_names":["nose"]}': "points",
+    '{"people":[{"pose_keypoints_2d":[1],"pose_keypoints_3d":[]}]}': "calibration", '{"bones":[["a","b"]]}': "ownPoints", '{"cameras":[]}': "calibration",
+  };
+  for (const [content, kind] of Object.entries(contents)) assert.equal(await detectKind(new File([content], "a.json")), kind, content);
+  assert.equal(await detectKind(new File(["# ours\nobjects:\n  box: {}\n"], "a.yaml")), "ownPoints");
+});
+
 // Directory of a zip with these names, as far as it is read.
 function zipOf(...names) {
   const entries = names.map((name) => {
