@@ -21,6 +21,7 @@ from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Observations, Source, Track3D
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import Finding
+from pipeline.core.joints import SIDES
 from pipeline.core.options.arguments import checked
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES
 from pipeline.core.options.job_choices import UNITS_M, Units, Up
@@ -37,6 +38,7 @@ from pipeline.video.timeline import cut_timebase, require_frames
 _TRUNK_M = 0.5
 _HIPS = "left_hip", "right_hip"
 _ANKLES = "left_ankle", "right_ankle"
+_LIMBS = tuple(f"{side}_{part}" for part in ("elbow", "wrist", "knee", "ankle") for side in SIDES)
 # Share of a direction along an axis from which on standing people tell that it points up.
 _UPRIGHT = 0.8
 _TRUNKS_M = Quantity(0.25, 0.8, "metres")
@@ -306,7 +308,8 @@ def _people(
     is_floating = up is None and not stands
     told += [f"no person stands, and {form} states no axis: state it if people lie or float"] * is_floating
     finding = Finding(KEYPOINTS_FORM, f"{'; '.join(told)}.", severity="info", evidence={"unit": unit, "up": chosen})
-    is_guess = is_floating or (is_scaled and others)
+    is_partial = any(not {*_LIMBS} <= places.keys() for places, _ in known)
+    is_guess = is_floating or is_partial or (is_scaled and others)
     findings.append(replace(finding, severity="warning") if is_guess else finding)
     world = UNITS_M[unit] * upright(chosen)
     turns = None
@@ -350,6 +353,8 @@ def _located(
             used = {own_names[k] for of in joints.values() for k in of}
             twice = ", ".join(sorted(name for name in used if own_names.count(name) > 1))
             guesses += [f"{person or file}: several points have the name {twice}, the first is read"] * bool(twice)
+            absent = ", ".join(name for name in _LIMBS if name not in places)
+            guesses += [f"{person or file}: no point tells {absent}, which the skeleton guesses"] * bool(absent)
             guesses += [f"{person or file}: markers on the skin stand for {', '.join(of_skin)}"] * bool(of_skin)
     return known, guesses, missing
 

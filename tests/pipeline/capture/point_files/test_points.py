@@ -247,6 +247,16 @@ def test_unit_that_may_be_another_is_a_warning(take: Path) -> None:
     assert "it may be cm: state it" in finding.message
 
 
+def test_joints_without_a_point_are_a_warning(take: Path) -> None:
+    """Markers on the inner knees and ankles come off after a laboratory's static trial, and joint centres with them."""
+    expected = positions_m(take)
+    names = [name for name in expected if np.isfinite(expected[name][0]).any() and not name.endswith("knee")]
+    points_m = np.stack([expected[name][0] for name in names], axis=1)
+    (finding,) = Session.from_points(points_m, names, 25.0).findings
+    assert finding.severity == "warning"
+    assert "no point tells left_knee, right_knee, which the skeleton guesses" in finding.message
+
+
 def test_repeated_name_is_said(take: Path) -> None:
     expected = positions_m(take)
     names = [name for name in expected if np.isfinite(expected[name][0]).any()]
