@@ -204,7 +204,7 @@ def test_generated_client_gets_from_files_to_animations(served: Served, capture:
     for field, (name, content) in files(capture):
         sent.setdefault(field, []).append(types.File(payload=io.BytesIO(content), file_name=name))
     with generated.Client(base_url=str(served.client.base_url), raise_on_unexpected_status=True) as client:
-        job = part("api.web.jobs.create_session_and_job_from_files").sync(
+        job = part("api.jobs.create_session_and_job_from_files").sync(
             client=client,
             body=models.CaptureForm(
                 calibration=sent["calibration"][0],
@@ -219,16 +219,16 @@ def test_generated_client_gets_from_files_to_animations(served: Served, capture:
         while job.state not in {"succeeded", "failed"}:
             assert time.monotonic() < deadline_s
             time.sleep(0.2)
-            job = part("api.web.jobs.get_job").sync(job.id, client=client)
+            job = part("api.jobs.get_job").sync(job.id, client=client)
         assert job.state == "succeeded"
-        listed = part("api.web.results.list_results").sync(job.id, client=client)
+        listed = part("api.results.list_results").sync(job.id, client=client)
         animations = [result for result in listed.results if result.kind == "bvh"]
         assert len(animations) >= 2
         for result in animations:
-            answer = part("api.web.results.get_result").sync_detailed(job.id, result.name, client=client)
+            answer = part("api.results.get_result").sync_detailed(job.id, result.name, client=client)
             assert hashlib.sha256(answer.content).hexdigest() == result.sha256
             assert b"ROOT hips\n" in answer.content
-        archive = part("api.web.results.get_all_results").sync_detailed(job.id, client=client)
+        archive = part("api.results.get_all_results").sync_detailed(job.id, client=client)
         with zipfile.ZipFile(io.BytesIO(archive.content)) as packed:
             assert set(packed.namelist()) == {
                 f"person-{result.person}/{result.download_name}" if result.person else result.download_name
