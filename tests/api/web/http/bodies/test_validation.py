@@ -120,7 +120,7 @@ def test_parts_of_form(live: Live) -> None:
         ("/manifest/cameras/1", "wrong_type"): (
             "cameras[1] must be an object with some of the fields name, file, more_files, offset_s, offset_std_s, rate."
         ),
-        ("/manifest/units", "value_not_allowed"): "units must be one of m, cm, mm, or null.",
+        ("/manifest/units", "value_not_allowed"): "units must be one of m, cm, mm, in, cmu, or null.",
         ("/manifest/name", "control_characters"): "Control characters are not allowed.",
         ("/spec", "malformed_json"): "The part spec is not JSON.",
     }
