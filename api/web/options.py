@@ -33,7 +33,7 @@ class DetectorOut(ResponseModel):
 
     name: str = Field(description="Value of `detector` in the spec of a job.", examples=["movenet-multipose"])
     installed: bool | None = Field(examples=[True])
-    """Whether all ready workers have the detector; null while no worker is ready."""
+    """True if all ready workers have the detector; null while no worker is ready."""
     install: str = Field(examples=["Run: multicap models install movenet-multipose"])
     """Advice to the operator on the installation."""
 
@@ -47,7 +47,7 @@ class ProfileNetworksOut(ResponseModel):
     """Seconds that a job took for a frame of a camera when it was measured, on one core; null if it was not measured.
     Other machines are faster or slower."""
     installed: bool | None = Field(examples=[True])
-    """Whether all ready workers have the networks; null while no worker is ready."""
+    """True if all ready workers have the networks; null while no worker is ready."""
     install: str = Field(examples=["Run: multicap models install movenet-multipose"])
     """Advice to the operator on the installation."""
 

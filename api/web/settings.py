@@ -106,12 +106,12 @@ class Settings(SharedSettings):
     """Smallest average rate of a client's body, checked from client_idle_s on."""
 
     shared_uploads: bool = False
-    """Whether uploads are kept in the bucket of artifacts_url, so that every API process continues them; otherwise they
+    """True if uploads are kept in the bucket of artifacts_url, so that every API process continues them; otherwise they
     are in data_dir of the process that began them."""
     upload_hours: float = Field(default=48.0, gt=0, le=24 * 365)
     """Time for which an unused upload is kept after its last piece."""
     fetch_private: bool = False
-    """Whether videos may be fetched from addresses of private networks and of this machine, also without TLS."""
+    """True if videos may be fetched from addresses of private networks and of this machine, also without TLS."""
     retention_days: float | None = Field(default=None, gt=0, le=36_500)
     """Time for which results are kept after a job's end; the reaper then removes them, and the job is `expired`.
     Outputs of its stages stay until the session is deleted. Without it results stay until they are deleted."""
@@ -147,7 +147,7 @@ class Settings(SharedSettings):
     live_recording_command: tuple[str, ...] = tuple(module_command("pipeline.run.live.cameras.recording"))
     """Program that records cameras for a moment, for their calibration."""
     live_private: bool | None = None
-    """Whether live captures may open cameras of this machine and streams of private networks, and send by VMC; streams
+    """True if live captures may open cameras of this machine and streams of private networks, and send by VMC; streams
     of public addresses they may. Without it only as long as the service has no keys."""
     max_live_camera_captures: int = Field(default=1, ge=0)
     """Largest number of live captures of an API process whose cameras the service opens; each uses all processors."""

@@ -156,7 +156,7 @@ class SharedSettings(BaseSettings):
     """Bytes on the disk of data_dir that are kept free. With fewer free bytes nothing new is accepted (507), and
     workers start no chunk. Default: 5 % of the disk, at most 256 MiB."""
     webhook_private: bool = False
-    """Whether webhooks may go to addresses of private networks and of this machine, also without TLS. Set it for the
+    """True if webhooks may go to addresses of private networks and of this machine, also without TLS. Set it for the
     API and the reaper."""
 
     @classmethod
@@ -202,10 +202,10 @@ class WorkerSettings(SharedSettings):
     nine tenths of the machine's memory, or of the container's limit (of cgroups of version 2; set it under version
     1)."""
     reserve_gpu: bool = False
-    """Whether a worker with a GPU takes chunks of networks alone, while ready workers without a GPU run the others;
+    """True if a worker with a GPU takes chunks of networks alone, while ready workers without a GPU run the others;
     otherwise it takes chunks of networks first."""
     provider: ProviderChoice = "auto"
-    """What runs the networks of workers, see `multicap help providers`; auto is CUDA where it works, else the CPU."""
+    """Provider of the workers' networks, see `multicap help providers`; auto is CUDA where it works, else the CPU."""
     chunk_time_factor: float = Field(default=10.0, gt=0)
     """A chunk is stopped after ten minutes and this many times the time foreseen for it: a tenth of a second for each
     of its units, such as frames of a camera."""

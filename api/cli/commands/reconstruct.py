@@ -166,7 +166,7 @@ def command(
     c3d_clock: Annotated[
         str,
         typer.Option(
-            metavar="auto|timecode|trigger[:CHANNEL]|contacts", help="What tells when the C3D of --c3d begins."
+            metavar="auto|timecode|trigger[:CHANNEL]|contacts", help="Clock of the beginning of the C3D of --c3d."
         ),
     ] = "auto",
     c3d_place: Annotated[

@@ -79,7 +79,7 @@ class FindingOut(ResponseModel):
     hint: str | None = Field(default=None, examples=["Export the video again at a constant frame rate."])
     """Remedy; null if there is nothing to mend."""
     evidence: dict[str, Any] = Field(default_factory=dict, examples=[{"file": "cam_0.mp4", "num_frames": 1}])
-    """What was measured, by name; `/help/findings` describes it for each code."""
+    """Measured values by name; `/help/findings` describes it for each code."""
 
 
 class SpaceOut(ResponseModel):

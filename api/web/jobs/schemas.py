@@ -181,7 +181,7 @@ class JobOut(ResponseModel):
     error: JobError | None
     """Error that ended the job, or the update of its files; null if it did not fail."""
     waiting_for: JobError | None
-    """What the job waits for: an outage such as `artifacts_unavailable`, or `videos_fetching`. The job continues by
+    """Cause of the wait: an outage such as `artifacts_unavailable`, or `videos_fetching`. The job continues by
     itself, and no attempt is lost. Null if nothing keeps it waiting."""
     warnings: tuple[FindingOut, ...]
     """Warnings about the files, the choices and, once finished, the result, such as `nobody_found`."""

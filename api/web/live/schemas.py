@@ -68,7 +68,7 @@ class LiveStart(_Start):
     window_s: float = Field(default=0.1, ge=0.001, le=10.0, allow_inf_nan=False)
     """Longest time that a frame waits for earlier frames of other cameras."""
     is_ordered: bool = True
-    """Whether the frames of each camera come in their order. If not, every frame waits for `window_s`."""
+    """True if the frames of each camera come in their order. If not, every frame waits for `window_s`."""
     learn_s: float = Field(default=3.0, ge=0.2, le=60.0, allow_inf_nan=False)
     """Time in sight after which a person's bones are learnt, and the person has a skeleton."""
     bodies: Annotated[tuple[_Lengths, ...], FailFast()] = Field(default=(), max_length=32)
@@ -259,7 +259,7 @@ class LiveDevicesOut(_Sent):
     """Cameras that live captures may open."""
 
     allows_private: bool
-    """Whether cameras of the service's machine and addresses of private networks may be opened; public addresses may
+    """True if cameras of the service's machine and addresses of private networks may be opened; public addresses may
     be."""
     devices: tuple[LiveDeviceOut, ...] = Field(description="Cameras of the machine; none unless they may be opened.")
 

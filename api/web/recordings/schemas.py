@@ -122,7 +122,7 @@ class ClipFileOut(ResponseModel):
     std_s: float = Field(description="Standard deviation of that time.", examples=[0.0031])
     duration_s: float = Field(description="Duration of the video as the phone measured it.", examples=[31.2])
     facts: dict[str, Any] = Field(examples=[{"num_frames": 936, "dropped_frames": 0}])
-    """What else the phone says of it: the fields of its message `file`."""
+    """Further facts from the phone: the fields of its message `file`."""
 
 
 class ClipOut(ResponseModel):

@@ -77,7 +77,7 @@ class LaboratoryManifest(RequestModel):
     """Facts about the C3D file of a laboratory. Unknown fields are refused."""
 
     clock: Literal["auto", "timecode", "trigger", "contacts"] = "auto"
-    """What tells when the file begins: `timecode` of the file and of a video; a `trigger` channel that rises as the
+    """Clock of the file's beginning: `timecode` of the file and of a video; a `trigger` channel that rises as the
     first frame is taken; `contacts` of feet and the vertical force; `auto`: the first of these that the files allow."""
     channel: str | None = Field(default=None, max_length=100)
     """Name of the trigger channel; null: by its name and its two levels."""
@@ -98,7 +98,7 @@ class Manifest(RequestModel):
     )
     """Facts about some cameras; of keypoints only their files."""
     pair_by_order: bool = Field(default=False, strict=True)
-    """Whether videos or keypoints whose cameras `cameras` does not state are paired with the other cameras by the
+    """True if videos or keypoints whose cameras `cameras` does not state are paired with the other cameras by the
     natural order of their names. By default a camera's name is a whole word in the name of its file."""
     units: Units | None = Field(default=None, examples=["mm"])
     """Unit of length of a calibration whose format does not state it (such as TOML). Null: metres; if they are not

@@ -76,7 +76,7 @@ class FileOut(ResponseModel):
     num_bytes: int = Field(description="Size of the file.", examples=[5_242_880])
     sha256: str = Field(description="SHA-256 of the file in hexadecimal.", examples=[SHA256])
     is_deleted: bool = False
-    """Whether the file was deleted, and is known by its SHA-256 alone."""
+    """True if the file was deleted, and is known by its SHA-256 alone."""
 
 
 class ThumbnailOut(ResponseModel):
@@ -213,7 +213,7 @@ class SessionOut(ResponseModel):
     proxies_job: NewestJobOut | None
     """Job that makes small copies of the videos that browsers can't play; null if none had to."""
     shows_blurred: bool = False
-    """Whether a job of the session has `blur_faces`: videos are shown with blurred heads alone, and thumbnails not at
+    """True if a job of the session has `blur_faces`: videos are shown with blurred heads alone, and thumbnails not at
     all. False until the first such job ends, if an earlier job has shown the videos."""
     preflight: PreflightOut = Field(description="Result of the check of the files.")
     sync: Literal["declared", "auto"] = Field(description="Synchronisation of jobs whose spec does not state `sync`.")
@@ -224,7 +224,7 @@ class SessionOut(ResponseModel):
     was sent for a calibration, and until its files are there."""
     metadata: dict[str, Any] = Field(description="Metadata of the manifest.", examples=[{"scene": 12}])
     notes: dict[str, str] = Field(examples=[{}])
-    """What is known of warnings, by code: of the sample capture; empty for others."""
+    """Known causes of warnings, by code: of the sample capture; empty for others."""
     urls: SessionUrls
 
     @classmethod

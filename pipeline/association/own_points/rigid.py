@@ -79,7 +79,7 @@ def _owners(found: OwnTracks) -> Iterator[tuple[tuple[str, ...], Track3D, int | 
 def poses(
     shapes: Sequence[RigidShape], names: Sequence[str], track: Track3D, person: int | None = None
 ) -> tuple[RigidMotion, ...]:
-    """Poses of objects whose points are among those of a track; NaN where fewer than three points fit.
+    """Poses of objects whose points a track has; NaN where fewer than three points fit.
 
     ``names`` are the names of the points of the track, ``person`` is the number of their owner. Objects without a pose
     in any frame are left out.

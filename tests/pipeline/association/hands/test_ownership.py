@@ -41,7 +41,7 @@ def test_detections_belong_to_whoever_has_their_joints() -> None:
         (0, 1, 1.2, left - 1.0, 0),
         (0, 2, 1.26, left + 4.0, 0),  # between two output frames
         (0, 3, 1.9, left, UNASSIGNED),  # after the person has gone
-        (1, 0, 1.3, other, UNASSIGNED),  # nobody was seen by this camera then
+        (1, 0, 1.3, other, UNASSIGNED),  # this camera saw no person then
         (1, 1, 1.4, other, 0),
         (1, 2, 1.4, body_px(300.0), UNASSIGNED),
     ]
