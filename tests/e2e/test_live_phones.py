@@ -15,6 +15,7 @@ from websockets.sync.client import connect
 
 from pipeline.calibration.write import encode
 from pipeline.core.runtime.child_processes import python_command
+from tests.api.web.live.messages import CAMERA_PROGRAM
 from tests.e2e.browsing import axe_findings, opened
 from tests.e2e.phone_takes import join, open_recording, phone_card, recording_of
 from tests.e2e.phones import BLOCK_PX, NUM_BITS, Phone, phones
@@ -31,17 +32,8 @@ CLOCK_S = 0.012  # what the phones' clocks are uncertain by
 NUM_COMPARED = 40
 
 # Program in the place of the one that opens cameras: it tells the time of each picture, and the place that it shows.
-PLACES = f"""
-import json, select, socket, struct, sys, time
-import cv2
+PLACES = f"""{CAMERA_PROGRAM}import cv2
 import numpy as np
-
-def answer(kind, content):
-    content = kind + json.dumps(content, separators=(",", ":")).encode()
-    sys.stdout.buffer.write(struct.pack("<I", len(content)) + content)
-    sys.stdout.buffer.flush()
-
-start = json.loads(sys.stdin.buffer.read(struct.unpack("<I", sys.stdin.buffer.read(4))[0]))
 names = [source["camera"] for source in start["sources"]]
 answer(b"R", {{"type": "ready", "cameras": names, "joints": ["nose"], "bones": ["Hips"], "parents": [None],
                "rig": [], "frame_rate_hz": 12.5, "layout": "coco-17"}})

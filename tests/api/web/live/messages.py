@@ -21,3 +21,16 @@ def keypoints_message(
 
 def packet(camera: int = 0, people: int = 1, points: int = 17, time_s: float = 0.0, number: float = 0.5) -> bytes:
     return encode_keypoints(camera, points, time_s, [number] * people * points * 3, people)
+
+
+# Head of a program in the place of the one that opens cameras: it answers, and reads how the capture starts.
+CAMERA_PROGRAM = """
+import json, select, socket, struct, sys, time
+
+def answer(kind, content):
+    content = kind + json.dumps(content, separators=(",", ":")).encode()
+    sys.stdout.buffer.write(struct.pack("<I", len(content)) + content)
+    sys.stdout.buffer.flush()
+
+start = json.loads(sys.stdin.buffer.read(struct.unpack("<I", sys.stdin.buffer.read(4))[0]))
+"""

@@ -21,19 +21,13 @@ from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE
 from tests.api.conftest import Live, running
 from tests.api.web.live.conftest import LiveSocket, opened
-from tests.api.web.live.messages import CALIBRATION
+from tests.api.web.live.messages import CALIBRATION, CAMERA_PROGRAM
 from worker.store.model.rights import Scope
 
 # Program in the place of the one that opens cameras: it shows what it got, and the profile chooses what happens.
-PROGRAM = """
-import json, os, struct, sys
-
-def answer(kind, content):
-    content = kind + json.dumps(content, separators=(",", ":")).encode()
-    sys.stdout.buffer.write(struct.pack("<I", len(content)) + content)
-    sys.stdout.buffer.flush()
-
-start = json.loads(sys.stdin.buffer.read(struct.unpack("<I", sys.stdin.buffer.read(4))[0]))
+PROGRAM = (
+    CAMERA_PROGRAM
+    + """import os
 if start["choices"]["profile"] == "accurate":
     answer(b"P", [{"code": "stream_refused", "message": "No stream.", "file": "x", "camera": "left", "hint": None}])
     sys.exit(2)
@@ -46,6 +40,7 @@ answer(b"I", {"sequence": 0, "time_s": 0.5, "lag_s": 0.0, "people": []})
 sys.stdin.buffer.read()
 answer(b"E", {"received": 9, "taken": 7, "late": 0, "dropped": 2})
 """
+)
 
 
 def start_message(*sources: str, **changes: Any) -> dict[str, Any]:

@@ -13,20 +13,14 @@ import pytest
 from api.web.settings import Settings
 from tests.api.conftest import Live, running
 from tests.api.web.live.conftest import LiveSocket, opened
+from tests.api.web.live.messages import CAMERA_PROGRAM
 from tests.api.web.recordings.conftest import JPEG, OpenedRecording, PhoneSocket, connected_phone, opened_recording
 from worker.store.model.rights import Scope
 
 # Program in the place of the one that opens cameras: it tells of each picture that comes.
-PROGRAM = """
-import json, select, socket, struct, sys, time
-
-def answer(kind, content):
-    content = kind + json.dumps(content, separators=(",", ":")).encode()
-    sys.stdout.buffer.write(struct.pack("<I", len(content)) + content)
-    sys.stdout.buffer.flush()
-
-start = json.loads(sys.stdin.buffer.read(struct.unpack("<I", sys.stdin.buffer.read(4))[0]))
-names = [source["camera"] for source in start["sources"]]
+PROGRAM = (
+    CAMERA_PROGRAM
+    + """names = [source["camera"] for source in start["sources"]]
 answer(b"R", {"type": "ready", "cameras": names, "joints": ["nose"], "bones": ["Hips"], "parents": [None],
               "rig": [], "frame_rate_hz": 12.5, "layout": "coco-17"})
 sockets = {socket.socket(fileno=source["pictures"]): source["camera"] for source in start["sources"]}
@@ -42,6 +36,7 @@ while True:
         number += 1
 answer(b"E", {"received": number, "taken": number, "late": 0, "dropped": 0})
 """
+)
 CALIBRATION = {"cameras": [{"name": "Left", "size_px": [1920, 1080]}, {"name": "Right", "size_px": None}]}
 SHORT = JPEG[:40]
 
