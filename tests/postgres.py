@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -11,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+
+from tests.ports import free_port
 
 POSTGRES_VARIABLE = "MULTICAP_TEST_POSTGRES_URL"
 
@@ -68,8 +69,7 @@ def running_postgres(address: str = "127.0.0.1", prefix: Sequence[str] = ()) -> 
     """
     if not _PROGRAMS:
         pytest.skip(f"PostgreSQL is not installed, and {POSTGRES_VARIABLE} names no server")
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]
+    port = free_port()
     # Not among pytest's folders, which are closed to the user that the server runs as.
     with tempfile.TemporaryDirectory(prefix="multicap-postgres-") as folder:
         if os.geteuid() == 0:

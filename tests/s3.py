@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ import httpx2
 import uuid_utils
 
 from pipeline.core.runtime.parent_watch import tied_to_parent
+from tests.ports import free_port
 
 
 @dataclass
@@ -40,8 +40,7 @@ class S3:
 
 @contextlib.contextmanager
 def running_s3() -> Iterator[S3]:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        port = listening.getsockname()[1]
+    port = free_port()
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     command = tied_to_parent([sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)])
     with subprocess.Popen(command, env=os.environ, **quiet) as process:  # type: ignore[call-overload]

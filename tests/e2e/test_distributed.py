@@ -31,9 +31,9 @@ from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.api.processes import peak_bytes
-from tests.api.web.uploads.test_upload_clients import free_port
 from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.serving import digests
+from tests.ports import free_port
 from tests.postgres import running_postgres
 from tests.s3 import S3, running_s3
 from tests.waiting import wait_for

@@ -22,6 +22,7 @@ from tests.e2e.serving import Served, serving
 from tests.e2e.simulated_detection import filmed_room, pictures
 from tests.e2e.test_live_page import num_bright
 from tests.pipeline.run.live.cameras.servers import LoopbackServer
+from tests.ports import free_port
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("page")]
 NARROW: ViewportSize = {"width": 390, "height": 844}
@@ -129,8 +130,7 @@ def test_wrong_cameras_all_problems_at_once(service: Served, tmp_path: Path) -> 
         alert = page.get_by_role("alert")
         expect(alert).to_contain_text("cam_00: Streams of ftp:// are not supported.")
         expect(alert).to_contain_text("cam_01: The service's machine has no such camera that may be opened.")
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = free.getsockname()[1]
+        port = free_port()
         page.get_by_role("combobox", name="Address of cam_00").fill(f"rtsp://127.0.0.1:{port}/")
         page.get_by_role("combobox", name="Address of cam_01").fill(f"http://127.0.0.1:{port}/")
         page.get_by_role("button", name="Start the capture").click()

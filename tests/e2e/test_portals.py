@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.e2e.browsing import opened
 from tests.e2e.served_captures import ServedCapture, served_capture
 from tests.e2e.serving import file_server
+from tests.ports import free_port
 from tests.waiting import wait_for
 
 ROOT = Path(__file__).parents[2]
@@ -202,8 +202,7 @@ def test_portal_in_browser_shows_all_problems(page: Page, portal: Portal, tmp_pa
 @pytest.fixture
 def python_portal(portal: Portal, tmp_path: Path) -> Iterator[httpx2.Client]:
     """Portal in Python as a process."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     code = program("portal.py", ("port=8080", f"port={port}"), (SPEC, 'exports": ["bvh"], "frame_range": [0, 20]'))
     (tmp_path / "portal.py").write_text(code, "utf-8")
     command = tied_to_parent([sys.executable, "portal.py", portal.capture.url, portal.capture.key])

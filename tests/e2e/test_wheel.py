@@ -31,10 +31,10 @@ from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.detection import models
 from pipeline.run.engine.code import stage_codes
 from pipeline.run.warm_up import NUM_COMPILED
-from tests.api.web.uploads.test_upload_clients import free_port
 from tests.e2e.captures import keypoint_capture, video_capture
 from tests.e2e.serving import digests
 from tests.e2e.test_serve_keypoints import archives
+from tests.ports import free_port
 from tests.waiting import wait_for
 
 ROOT = Path(__file__).parents[2]

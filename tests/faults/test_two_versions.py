@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import sqlite3
 import sys
 import tempfile
@@ -19,6 +18,7 @@ from tests.e2e.serving import Served, serving
 from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
+from tests.ports import free_port
 from tests.waiting import wait_for
 from worker.run.embedded import DataDirectory
 
@@ -31,12 +31,6 @@ def running(environment: Mapping[str, str], *words: str) -> Iterator[Popen[bytes
             yield process
         finally:
             process.terminate()
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 def is_ready(client: httpx2.Client) -> bool:

@@ -22,7 +22,8 @@ from pipeline.capture.preflight import report
 from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.core.data.cameras import Timebase
 from pipeline.validation.simulation.scenes import find_scene, record
-from tests.load.test_tenants import free_port, started
+from tests.load.test_tenants import started
+from tests.ports import free_port
 from tests.postgres import running_postgres
 from tests.waiting import wait_for
 from worker.run.planning import plan_job

