@@ -58,9 +58,9 @@ if TYPE_CHECKING:
     from pipeline.motion.body.installed import install as install_body
     from pipeline.run.engine.local import reconstruct, reconstruct_to_files
     from pipeline.run.live.capture import LiveCapture
+    from pipeline.run.live.outputs.runner import LiveOutputs
     from pipeline.run.live.records import recorded_frames
     from pipeline.run.live.settings import LiveSettings, read_bodies
-    from pipeline.run.live.vmc import VmcSender
 
 __all__ = [
     "CalibrationReading",
@@ -78,6 +78,7 @@ __all__ = [
     "KeypointSession",
     "KeypointsError",
     "LiveCapture",
+    "LiveOutputs",
     "LiveSettings",
     "ModelError",
     "PersonContent",
@@ -93,7 +94,6 @@ __all__ = [
     "ServiceError",
     "Session",
     "SessionRefused",
-    "VmcSender",
     "Writer",
     "WrittenResults",
     "calibration_reader",
@@ -133,6 +133,7 @@ _REFERENCES = {
     "KeypointSession": "pipeline.capture.keypoints:KeypointSession",
     "KeypointsError": "pipeline.capture.keypoint_files.people:KeypointsError",
     "LiveCapture": "pipeline.run.live.capture:LiveCapture",
+    "LiveOutputs": "pipeline.run.live.outputs.runner:LiveOutputs",
     "LiveSettings": "pipeline.run.live.settings:LiveSettings",
     "ModelError": "pipeline.core.errors:ModelError",
     "PersonContent": "pipeline.export.writers.registry:PersonContent",
@@ -148,7 +149,6 @@ _REFERENCES = {
     "ServiceError": "api.cli.client:ServiceError",
     "Session": "pipeline.capture.points:SessionMaker",
     "SessionRefused": "pipeline.core.errors:SessionRefused",
-    "VmcSender": "pipeline.run.live.vmc:VmcSender",
     "Writer": "pipeline.export.writers.registry:Writer",
     "WrittenResults": "pipeline.export.results:WrittenResults",
     "calibration_reader": "pipeline.calibration.formats:reader",

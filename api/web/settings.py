@@ -147,7 +147,7 @@ class Settings(SharedSettings):
     live_recording_command: tuple[str, ...] = tuple(module_command("pipeline.run.live.cameras.recording"))
     """Program that records cameras for a moment, for their calibration."""
     live_private: bool | None = None
-    """True if live captures may open cameras of this machine and streams of private networks, and send by VMC; streams
+    """True if live captures may open cameras of this machine and streams of private networks, and use outputs; streams
     of public addresses they may. Without it only as long as the service has no keys."""
     max_live_camera_captures: int = Field(default=1, ge=0)
     """Largest number of live captures of an API process whose cameras the service opens; each uses all processors."""

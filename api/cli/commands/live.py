@@ -18,12 +18,13 @@ from pipeline.core.problems.finding_codes import OUTPUT_EXISTS
 from pipeline.run.live.cameras.sources import read_sources
 
 if not shows_help():
-    from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, Terminal, opened_output, summary_line
+    from api.cli.live.outputs import JsonLines, KeptKeypoints, ListenerGroup, Terminal, opened_output, summary_line
     from api.cli.live.preview import PreviewPage
     from pipeline.calibration.registry import read_calibration
-    from pipeline.run.live.cameras.listeners import capture, vmc_receivers
-    from pipeline.run.live.cameras.run import CameraRun, LiveListener
+    from pipeline.run.live.cameras.listeners import OutputListener, capture
+    from pipeline.run.live.cameras.run import CameraRun
     from pipeline.run.live.cameras.totals import LiveTotals
+    from pipeline.run.live.outputs.runner import LiveOutputs
 
 
 @options.with_choices("joints", "appearance")
@@ -54,15 +55,12 @@ def command(
             help="Find constant offsets of the cameras' clocks from the people of the first seconds, 3 to 25.",
         ),
     ] = None,
-    vmc: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[HOST:]PORT",
-            help="Receiver of the VMC protocol, which shows one person; repeatable for further people.",
-        ),
-    ] = None,
-    allow_network: Annotated[bool, typer.Option("--allow-network", help="Allow receivers on other machines.")] = False,
     output: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Program that gets the people, such as vmc://127.0.0.1:39539. Repeatable."),
+    ] = None,
+    allow_network: Annotated[bool, typer.Option("--allow-network", help="Allow outputs to other machines.")] = False,
+    lines: Annotated[
         Path | None, typer.Option(help="New file for the people of each instant, a line of JSON each.")
     ] = None,
     keep: Annotated[
@@ -86,24 +84,25 @@ def command(
                 collect(lambda: read_calibration(calibration, options.known_units(units), options.known_up(up))) or ()
             )
             sources = collect(lambda: read_sources(camera, [known.name for known in cameras])) if cameras else None
-            receivers = collect(lambda: opened.enter_context(vmc_receivers(vmc or (), allow_network)))
-            collect(lambda: require([*_existing_outputs(keep, output)]))
+            outputs = collect(lambda: opened.enter_context(LiveOutputs(output or (), allow_network=allow_network)))
+            collect(lambda: require([*_existing_files(keep, lines)]))
             page = None if preview is None else collect(lambda: opened.enter_context(PreviewPage(preview)))
         by_name = {known.name: known for known in cameras}
-        outputs: list[LiveListener] = [JsonLines(sys.stdout)] if as_json else []
-        if output is not None:
-            outputs.append(JsonLines(opened.enter_context(opened_output(output))))
-        if vmc and receivers is not None:
-            outputs.append(receivers)
+        listener = ListenerGroup()
+        run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, listener, sync)
+        if as_json:
+            listener.add(JsonLines(sys.stdout))
+        if lines is not None:
+            listener.add(JsonLines(opened.enter_context(opened_output(lines))))
+        if output:
+            listener.add(OutputListener(outputs, run.totals))
         if keep is not None:
-            outputs.append(KeptKeypoints(keep))
+            listener.add(KeptKeypoints(keep))
         if page is not None:
-            outputs.append(page)
+            listener.add(page)
             console.print(f"Preview: {page.url}")
         if not as_json:
-            outputs.append(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
-        listener = LiveOutputs(outputs)
-        run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, listener, sync)
+            listener.add(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
         with _stopped_by_signals(run.stop):
             capture(run, choices)
         listener.end(run.totals)
@@ -113,14 +112,14 @@ def command(
             raise listener.errors[0]
 
 
-def _existing_outputs(keep: Path | None, output: Path | None) -> Iterator[Problem]:
+def _existing_files(keep: Path | None, lines: Path | None) -> Iterator[Problem]:
     if keep is not None and keep.exists() and (not keep.is_dir() or any(keep.iterdir())):
         message = "There are files already."
         yield Problem(OUTPUT_EXISTS, message, file=keep.name, field="keep", hint="Name a new or empty folder.")
     # Devices and pipes are there already, and so is an empty file of a try without cameras.
-    if output is not None and output.is_file() and output.stat().st_size:
+    if lines is not None and lines.is_file() and lines.stat().st_size:
         message = "The file is there already."
-        yield Problem(OUTPUT_EXISTS, message, file=output.name, field="output", hint="Name a new file.")
+        yield Problem(OUTPUT_EXISTS, message, file=lines.name, field="lines", hint="Name a new file.")
 
 
 @contextlib.contextmanager

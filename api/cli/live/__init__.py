@@ -1,1 +1,1 @@
-"""Outputs of `multicap live` about people while they are captured: lines of JSON, kept keypoints, VMC, the terminal."""
+"""Listeners of `multicap live`: lines of JSON, kept keypoints, a page, the terminal."""

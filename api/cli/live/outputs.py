@@ -1,4 +1,4 @@
-"""Outputs of `multicap live`: each listens to the capture."""
+"""Files and terminal of `multicap live`: each listens to the capture."""
 
 import csv
 import io
@@ -25,51 +25,55 @@ from pipeline.run.live.records import DetectedFrame, LiveInstant
 from worker.store.files.disk import append_whole
 
 
-class LiveOutputs(LiveListener):
-    """Several outputs as one listener.
+class ListenerGroup(LiveListener):
+    """Several listeners as one.
 
-    An output that fails during the capture, such as a file on a full disk, is left out, the others are told, and its
+    A listener that fails during the capture, such as a file on a full disk, is left out, the others are told, and its
     error is one of ``errors``. The error of the last one is raised.
     """
 
-    def __init__(self, outputs: Iterable[LiveListener]) -> None:
-        self._outputs = list(outputs)
+    def __init__(self, listeners: Iterable[LiveListener] = ()) -> None:
+        self._listeners = list(listeners)
         self.errors: list[PipelineError] = []
+
+    def add(self, listener: LiveListener) -> None:
+        """Add a listener, before the capture begins."""
+        self._listeners.append(listener)
 
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """See ``LiveListener``."""
-        for output in self._outputs:
-            output.begin(cameras, joints, frame_rate_hz)
+        for listener in self._listeners:
+            listener.begin(cameras, joints, frame_rate_hz)
 
     def take(self, camera: Camera, frame: DetectedFrame) -> None:
         """See ``LiveListener``."""
-        self._each(lambda output: output.take(camera, frame))
+        self._each(lambda listener: listener.take(camera, frame))
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
         """See ``LiveListener``."""
-        self._each(lambda output: output.show(instant, latency_s))
+        self._each(lambda listener: listener.show(instant, latency_s))
 
     def tell(self, sentence: str) -> None:
         """See ``LiveListener``."""
-        self._each(lambda output: output.tell(sentence))
+        self._each(lambda listener: listener.tell(sentence))
 
     def tick(self, totals: LiveTotals) -> None:
         """See ``LiveListener``."""
-        self._each(lambda output: output.tick(totals))
+        self._each(lambda listener: listener.tick(totals))
 
     def end(self, totals: LiveTotals) -> None:
         """See ``LiveListener``."""
-        self._each(lambda output: output.end(totals))
+        self._each(lambda listener: listener.end(totals))
 
     def _each(self, call: Callable[[LiveListener], None]) -> None:
-        for output in tuple(self._outputs):
-            if output not in self._outputs:  # it has failed when it was told of another one
+        for listener in tuple(self._listeners):
+            if listener not in self._listeners:  # it has failed when it was told of another one
                 continue
             try:
-                call(output)
+                call(listener)
             except PipelineError as error:
-                self._outputs.remove(output)
-                if not self._outputs:
+                self._listeners.remove(listener)
+                if not self._listeners:
                     raise
                 self.errors.append(error)
                 self.tell(f"{error} The capture continues without it.")

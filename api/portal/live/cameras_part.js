@@ -7,7 +7,7 @@ import { COMMON } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
 
 const TEXT = LIVE.cameras;
-const [SYNC_S, SCHEME, RECEIVER] = [10, "rtsp://", "127.0.0.1:39539"];
+const [SYNC_S, SCHEME, RECEIVER] = [10, "rtsp://", "vmc://127.0.0.1:39539"];
 
 /** Phones of a recording as sources of cameras. */
 const phonesOf = ({ id, phones }) => phones.filter(({ is_removed: isRemoved }) => !isRemoved).map(({ number, name }) => ({ name, source: `phone://${id}/${number}` }));
@@ -19,7 +19,7 @@ export class ChosenCameras {
   profiles = []; // { name, label }
   profile = "fast";
   isMeasured = false; // true: offsets of the cameras are measured
-  vmc = "";
+  outputs = "";
   problem = null;
   isNew = false; // true: these cameras are to be calibrated, and get their names here
   durationS = 20; // of the recording from which they are calibrated
@@ -80,7 +80,7 @@ export class ChosenCameras {
 
   /** Fields of the message `start_cameras`. */
   get start() {
-    return { type: "start_cameras", cameras: this.used, profile: this.profile, sync_s: this.isMeasured ? SYNC_S : null, vmc: this.vmc.split(/[\s,;]+/).filter(Boolean) };
+    return { type: "start_cameras", cameras: this.used, profile: this.profile, sync_s: this.isMeasured ? SYNC_S : null, outputs: this.outputs.split(/[\s,;]+/).filter(Boolean) };
   }
 
   part(isLocked) {
@@ -114,8 +114,8 @@ export class ChosenCameras {
   #captureFields(isLocked, allowsPrivate) {
     return html`<div class="pair">
         ${selectField(TEXT.profile, this.profiles.map(({ name, label }) => [name, label]), { chosen: this.profile, choose: (name) => { this.profile = name; }, isOff: isLocked })}
-        ${allowsPrivate ? html`<label class="field"><span>${TEXT.vmc}</span><input type="text" maxlength="1000" autocomplete="off" spellcheck="false" placeholder=${RECEIVER}
-          .value=${typed(this.vmc)} ?disabled=${isLocked} @input=${(event) => { this.vmc = event.target.value; }}><span class="quiet">${TEXT.vmcHint}</span></label>` : nothing}
+        ${allowsPrivate ? html`<label class="field"><span>${TEXT.outputs}</span><input type="text" maxlength="1000" autocomplete="off" spellcheck="false" placeholder=${RECEIVER}
+          .value=${typed(this.outputs)} ?disabled=${isLocked} @input=${(event) => { this.outputs = event.target.value; }}><span class="quiet">${TEXT.outputsHint}</span></label>` : nothing}
       </div>
       <label class="with"><input type="checkbox" .checked=${live(this.isMeasured)} ?disabled=${isLocked} @change=${(event) => { this.isMeasured = event.target.checked; }}> ${TEXT.measure(SYNC_S)}</label>`;
   }

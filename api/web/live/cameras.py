@@ -36,11 +36,11 @@ from worker.run.webhooks.sender import RefusedAddressError, resolve
 
 _RESOLVE_S = 10.0  # of all names of a start
 _PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443}
-_PRIVATE_HINT = "The operator allows private addresses and cameras of the machine by MULTICAP_LIVE_PRIVATE."
+_PRIVATE_HINT = "The operator allows private addresses, outputs and cameras of the machine by MULTICAP_LIVE_PRIVATE."
 
 
 def allows_private(settings: Settings, caller: Caller) -> bool:
-    """True if a caller may open cameras of this machine and of private networks, and send by VMC."""
+    """True if a caller may open cameras of this machine and of private networks, and use outputs."""
     return caller.key is None if settings.live_private is None else settings.live_private
 
 
@@ -76,9 +76,9 @@ def read_cameras(
                 message, pointer = "The phone is another camera already.", pointer_to("cameras", place, "source")
                 errors.append(ErrorItem(code=CAMERA_SOURCE, message=message, pointer=pointer, camera=name))
             sources.append(source)
-    if isinstance(start, LiveCamerasStart) and start.vmc and not is_private:
-        message = "The service sends nothing by VMC."
-        errors.append(ErrorItem(code=PARAMETER_RANGE, message=message, hint=_PRIVATE_HINT, pointer="/vmc"))
+    if isinstance(start, LiveCamerasStart) and start.outputs and not is_private:
+        message = "The service sends people to no other program."
+        errors.append(ErrorItem(code=PARAMETER_RANGE, message=message, hint=_PRIVATE_HINT, pointer="/outputs"))
     if isinstance(start, LiveRecordStart) and (start.board is None) == (not start.stature_m):
         message = "A calibration has either a board or the statures of people."
         errors.append(ErrorItem(code=MISSING_FIELD, message=message, pointer="/board"))
@@ -133,7 +133,7 @@ async def relay_cameras(connection: LiveConnection, start: LiveCamerasStart, cal
     content = {
         "calibration": str(calibration),
         "choices": {"profile": start.profile, "joints": start.joints},
-        **start.model_dump(include={"sync_s", "vmc", "format", "keep"}),
+        **start.model_dump(include={"sync_s", "outputs", "format", "keep"}),
     }
     _, relay = await _relayed(
         connection, start, known, connection.settings.live_cameras_command, content, calibration.parent

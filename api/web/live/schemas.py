@@ -103,11 +103,11 @@ class LiveCamerasStart(_Start):
     joints: DetectedJoints = Field(default="auto", description="Joints to find.")
     sync_s: float | None = Field(default=None, ge=3.0, le=25.0, allow_inf_nan=False)
     """Length of the beginning from whose people constant offsets of the cameras' clocks are found."""
-    vmc: tuple[Annotated[str, Field(min_length=1, max_length=300)], ...] = Field(
-        default=(), max_length=16, examples=[["192.168.0.20:39539"]]
+    outputs: tuple[Annotated[str, Field(min_length=1, max_length=300)], ...] = Field(
+        default=(), max_length=16, examples=[["vmc://192.168.0.20:39539"]]
     )
-    """Receivers of the VMC protocol, each `[HOST:]PORT`, as the service's machine reaches them: one a person. It has
-    neither keys nor encryption."""
+    """Addresses of programs that get the people, as the service's machine reaches them. The protocols have neither keys
+    nor encryption."""
 
 
 class LiveRecordStart(TakeCalibrationSpec):
@@ -231,6 +231,19 @@ class LiveLatencyOut(_Sent):
     p95: float | None = Field(description="95th percentile in seconds.", examples=[0.3])
 
 
+class LiveOutputOut(_Sent):
+    """State of an output, and its counts of the whole capture."""
+
+    address: str = Field(description="Address of the output.", examples=["vmc://192.168.0.20:39539"])
+    protocol: str = Field(description="Name of the protocol.", examples=["VMC"])
+    state: Literal["listening", "waiting", "sending", "no receiver", "failed"]
+    """listening: no receiver has connected; waiting: no person is there; no receiver: its machine answers so."""
+    message: str | None = Field(description="Reason why it failed.", examples=["Network is unreachable"])
+    sent: int = Field(description="Packets that were sent.", examples=[7200])
+    dropped: int = Field(description="Instants that waited for too long.")
+    failed: int = Field(description="Instants that could not be sent.")
+
+
 class LiveStatusOut(_Sent):
     """State of cameras that the service opens, each second."""
 
@@ -239,6 +252,7 @@ class LiveStatusOut(_Sent):
     instants_hz: int = Field(description="Instants of the last second.", examples=[12])
     latency_s: LiveLatencyOut
     cameras: tuple[LiveCameraStatusOut, ...]
+    outputs: tuple[LiveOutputOut, ...]
 
 
 class LiveNoticeOut(_Sent):

@@ -26,8 +26,8 @@ from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
 from pipeline.export.results import write_results
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.run.live.outputs.runner import LiveOutputs
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
-from pipeline.run.live.vmc import VmcSender
 from tests.api.blender.conftest import WrongService, says
 from tests.api.blender.test_client import ServiceGate
 from tests.api.conftest import Live, running
@@ -420,10 +420,12 @@ def test_armature_moves_live(
     instant = LiveInstant(1.0, (LivePerson(1, np.zeros((17, 3)), pose),), 0.0)
 
     def send() -> None:
-        with VmcSender(ports=[port]) as sender, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with LiveOutputs([f"vmc://127.0.0.1:{port}"]) as outputs, stranger:
+            outputs.begin(["nose"], 100.0)
             for _ in range(300):
                 stranger.sendto(b"GET / HTTP/1.1", ("127.0.0.1", port))
-                sender.send(instant)
+                outputs.show(instant)
                 time.sleep(0.01)
 
     sending = threading.Thread(target=send)

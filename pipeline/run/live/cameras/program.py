@@ -2,8 +2,8 @@
 
 Messages go over stdin and stdout as ``pipeline.run.live.packets`` says. The start is an object with ``calibration``,
 the path of a file in metres, Z up; ``sources``, the fields of a ``CameraSource`` each; ``choices`` of the networks;
-``sync_s``; ``vmc``, receivers; ``format`` of the instants; and ``keep``, with which the file gets the cameras of the
-keypoints. The capture ends when stdin is closed.
+``sync_s``; addresses of ``outputs``; ``format`` of the instants; and ``keep``, with which the file gets the cameras of
+the keypoints. The capture ends when stdin is closed.
 """
 
 import json
@@ -25,10 +25,11 @@ from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, JointSet
 from pipeline.core.layouts import LAYOUTS, KeypointLayout
 from pipeline.core.options.config import MotionChoices
 from pipeline.motion.skeleton.model import SKELETON
-from pipeline.run.live.cameras.listeners import StatusFigures, capture, ready_document, vmc_receivers
+from pipeline.run.live.cameras.listeners import OutputListener, StatusFigures, capture, ready_document
 from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.sources import CameraSource
 from pipeline.run.live.cameras.totals import LiveTotals
+from pipeline.run.live.outputs.runner import LiveOutputs
 from pipeline.run.live.packets import CaptureAnswer, framed, read_message
 from pipeline.run.live.packing import instant_json, pack_instant, pack_keypoints
 from pipeline.run.live.records import DetectedFrame, LiveInstant
@@ -46,7 +47,7 @@ class _Answers(LiveListener):
 
     def __init__(self, outgoing: BinaryIO, is_packed: bool, kept: Path | None) -> None:
         self._outgoing, self._is_packed, self._kept = outgoing, is_packed, kept
-        self.receivers = LiveListener()
+        self.outputs = LiveListener()
         self._figures = StatusFigures()
         self._places: dict[str, int] = {}
         self._layout = LAYOUTS["coco-17"]
@@ -64,6 +65,7 @@ class _Answers(LiveListener):
         self._places = {camera.name: place for place, camera in enumerate(cameras)}
         if self._kept is not None:  # keypoints are in pixels of the pictures, to which the cameras were fitted
             self._kept.write_bytes(encode(cameras))
+        self.outputs.begin(cameras, joints, frame_rate_hz)
         self.send_json(
             CaptureAnswer.READY, ready_document(cameras, joints, frame_rate_hz) | {"layout": self._layout.name}
         )
@@ -77,7 +79,7 @@ class _Answers(LiveListener):
         self.send(CaptureAnswer.KEPT, pack_keypoints(self._places[camera.name], frame.time_s, points_px, score))
 
     def show(self, instant: LiveInstant, latency_s: float) -> None:
-        self.receivers.show(instant, latency_s)
+        self.outputs.show(instant, latency_s)
         self._figures.add(latency_s)
         num_joints = len(self._layout.joints.names)
         if self._is_packed:
@@ -122,8 +124,9 @@ def _capture(start: dict[str, Any], answers: _Answers, incoming: BinaryIO) -> No
     choices = MotionChoices(**start["choices"])
     sources = [CameraSource(**source) for source in start["sources"]]
     cameras = {camera.name: camera for camera in read_calibration(Path(start["calibration"]))}
-    with vmc_receivers(start["vmc"], allow_network=True) as answers.receivers:
+    with LiveOutputs(start["outputs"], allow_network=True) as outputs:
         found = CameraRun([cameras[source.camera] for source in sources], sources, choices, answers, start["sync_s"])
+        answers.outputs = OutputListener(outputs, found.totals)
 
         def stop_at_end() -> None:
             read_message(incoming)

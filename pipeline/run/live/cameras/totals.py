@@ -5,6 +5,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.run.live.outputs.runner import OutputStatus
+
 _BIN_S = 1e-3
 _NUM_BINS = 60_000
 
@@ -55,6 +57,7 @@ class LiveTotals:
     instants: int = 0
     people: int = 0  # Number of people who appeared
     latencies: Latencies = field(default_factory=Latencies)
+    outputs: list[OutputStatus] = field(default_factory=list)
 
     def document(self) -> dict[str, Any]:
         """Totals as values of JSON."""
@@ -65,4 +68,5 @@ class LiveTotals:
             "people": self.people,
             "latency_ms": {f"p{percent}": self.latencies.percentile_ms(percent) for percent in (50, 95, 99)},
             "cameras": [asdict(camera) | {"dropped": camera.dropped} for camera in self.cameras],
+            "outputs": [output.document() for output in self.outputs],
         }

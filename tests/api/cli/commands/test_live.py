@@ -23,20 +23,21 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
     rig = calibration(tmp_path / "rig.json", ["a", "b"])
     options = ["--camera=a=gone.mp4", "--camera=c=rtsp://camera/", f"--keep={tmp_path / 'kept'}"]
     (tmp_path / "lines.jsonl").write_text("{}")
-    options += ["--vmc=far", "--vmc=192.0.2.1:39539", f"--vmc={'9' * 5000}", "--vmc=39540", "--vmc=127.0.0.1:39540"]
-    options += [f"--output={tmp_path / 'lines.jsonl'}", "--profile=fast", "--json"]
+    options += ["--output=far", "--output=vmc://192.0.2.1", f"--output=vmc://127.0.0.1:{'9' * 5000}"]
+    options += ["--output=vmc://localhost", "--output=vmc://127.0.0.1:39539"]
+    options += [f"--lines={tmp_path / 'lines.jsonl'}", "--profile=fast", "--json"]
     result = runner.invoke(app, ["live", f"--calibration={rig}", *options])
     assert result.exit_code == 2
     problems = json.loads(result.stdout)["problems"]
     assert [(problem["code"], problem["camera"] or problem["field"]) for problem in problems] == [
         ("video_missing", "a"),
         ("camera_source", "c"),
-        ("parameter_range", "vmc"),
-        ("parameter_range", "host"),
-        ("parameter_range", "vmc"),
-        ("parameter_range", "vmc"),
+        ("parameter_range", "output"),
+        ("parameter_range", "output"),
+        ("parameter_range", "output"),
+        ("parameter_range", "output"),
         ("output_exists", "keep"),
-        ("output_exists", "output"),
+        ("output_exists", "lines"),
     ]
     assert str(tmp_path) not in result.stdout
 
@@ -65,7 +66,7 @@ def test_sample_videos_are_cameras(tmp_path: Path) -> None:
         pytest.skip("the sample capture or the networks are not installed")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
-        options = [f"--vmc={receiver.getsockname()[1]}", f"--keep={tmp_path / 'kept'}"]
+        options = [f"--output=vmc://127.0.0.1:{receiver.getsockname()[1]}", f"--keep={tmp_path / 'kept'}"]
         options += [f"--camera={name}={path}" for name, path in sample.videos.items()]
         result = runner.invoke(app, ["live", f"--calibration={sample.calibration}", *options, "--preview=0", "--json"])
     assert result.exit_code == 0, result.output

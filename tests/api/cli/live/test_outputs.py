@@ -1,4 +1,4 @@
-"""Outputs of live captures: lines of JSON, kept keypoints, receivers of VMC."""
+"""Listeners of live captures: lines of JSON, kept keypoints, the terminal."""
 
 import io
 import json
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from api.cli.live.outputs import JsonLines, KeptKeypoints, LiveOutputs, opened_output, summary_line
+from api.cli.live.outputs import JsonLines, KeptKeypoints, ListenerGroup, opened_output, summary_line
 from pipeline.capture.keypoints import open_keypoints
 from pipeline.core.errors import PipelineError
 from pipeline.core.runtime.child_processes import python_command
@@ -92,7 +92,7 @@ def test_capture_full_disk_leaves_session_and_continues(tmp_path: Path) -> None:
     simulation, lines = record(replace(SCENES["room"], duration_s=8.0), 0, 3), io.StringIO()
     cameras = simulation.cameras
     with small_disk(tmp_path / "disk", 4) as disk:
-        outputs = LiveOutputs([KeptKeypoints(disk / "kept"), JsonLines(lines)])
+        outputs = ListenerGroup([KeptKeypoints(disk / "kept"), JsonLines(lines)])
         outputs.begin(cameras, simulation.joints, RATE_HZ)
         frames = detected_frames(cameras, simulation.times, simulation.detections)
         for number, frame in enumerate(frames):
@@ -112,7 +112,7 @@ def test_capture_full_disk_leaves_session_and_continues(tmp_path: Path) -> None:
 
 def test_outputs_all_failed_end_capture(tmp_path: Path) -> None:
     with pytest.raises(PipelineError, match="No space left"), opened_output(Path("/dev/full")) as full:
-        LiveOutputs([JsonLines(full)]).tell("x")
+        ListenerGroup([JsonLines(full)]).tell("x")
 
 
 KEEPING = """

@@ -103,7 +103,7 @@ def test_files_and_other_schemes_are_never_opened(is_private: bool) -> None:
 
 def test_all_problems_come_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cameras, "find_devices", lambda: {"/dev/video0": "Webcam"})
-    given = start("/dev/video0", "ftp://a/", vmc=["39539"]).model_copy(
+    given = start("/dev/video0", "ftp://a/", outputs=["vmc://127.0.0.1"]).model_copy(
         update={"cameras": start("/dev/video0", "ftp://a/").cameras[:1] * 2 + start("x", "ftp://a/").cameras[1:]}
     )
     assert refusals(given, False) == [
@@ -111,7 +111,7 @@ def test_all_problems_come_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         ("/cameras/1/camera", "The camera is stated twice."),
         ("/cameras/1/source", "The service's machine has no such camera that may be opened."),
         ("/cameras/2/source", "Streams of ftp:// are not supported."),
-        ("/vmc", "The service sends nothing by VMC."),
+        ("/outputs", "The service sends people to no other program."),
     ]
     device, stream = read_cameras(start("/dev/video0", "rtsp://127.0.0.1/v"), ["left", "right"], True, no_phone)
     assert (device.kind, device.address) == ("device", "/dev/video0")

@@ -4,6 +4,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from pythonosc.osc_server import BlockingOSCUDPServer
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
-from pipeline.core.errors import InputError
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
 from pipeline.motion.skeleton.model import SKELETON, forward_kinematics
+from pipeline.run.live.outputs.addresses import read_outputs
+from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.vmc import VmcOutput, local_offsets_m, unity_position, unity_rotation, vmc_packet
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
-from pipeline.run.live.vmc import VmcSender, local_offsets_m, unity_position, unity_rotation
+from tests.ports import free_port
 
 NUM_BONES = len(SKELETON)
 # Left-handed axes of Unity from ours, as a matrix.
@@ -29,6 +32,11 @@ def skeleton(seed: int = 0) -> LiveSkeleton:
     turns = Rotation.random(NUM_BONES, rng=rng).as_quat()
     lengths_m = np.array([0.0, *rng.uniform(0.1, 0.4, NUM_BONES - 1)])
     return LiveSkeleton(rng.normal(size=3), turns, lengths_m, np.zeros((NUM_BONES, 3)))
+
+
+def vmc_output(port: int, options: str = "") -> VmcOutput:
+    (address,) = read_outputs([f"vmc://127.0.0.1:{port}{options}"], allow_network=False)
+    return VmcOutput(OutputStart(address, 25.0, ("nose",)))
 
 
 def received(send: Callable[[int], object], num_messages: int) -> list[tuple[Any, ...]]:
@@ -67,7 +75,7 @@ def test_receiver_gets_every_bone_of_person() -> None:
     instant = LiveInstant(12.25, (LivePerson(1, np.zeros((17, 3)), pose),), 0.1)
 
     def send(port: int) -> None:
-        with VmcSender(ports=[port]) as sender:
+        with vmc_output(port) as sender:
             assert sender.send(instant) == 1
 
     messages = received(send, 3 + len(UNITY_BONES))
@@ -107,33 +115,22 @@ def test_people_without_skeleton_are_not_available() -> None:
     instant = LiveInstant(1.0, (LivePerson(1, np.zeros((17, 3)), None), LivePerson(2, np.zeros((17, 3)), None)), 0.0)
 
     def send(port: int) -> None:
-        with VmcSender(ports=[port]) as sender:
+        with vmc_output(port) as sender:
             assert sender.send(instant) == 1
 
     assert received(send, 2) == [("/VMC/Ext/OK", 0), ("/VMC/Ext/T", 1.0)]
 
 
-@pytest.mark.parametrize(
-    ("host", "ports", "field"),
-    [("192.0.2.7", (39539,), "host"), ("no such host.invalid", (39539,), "host"), ("127.0.0.1", (0,), "ports")],
-)
-def test_wrong_receivers_are_refused(host: str, ports: tuple[int, ...], field: str) -> None:
-    with pytest.raises(InputError) as refused:
-        VmcSender(host, ports)
-    assert [problem.field for problem in refused.value.problems] == [field]
-
-
-def test_other_machines_are_allowed_on_request() -> None:
-    VmcSender("192.0.2.7", allow_network=True)
-
-
-def test_packets_that_cannot_be_sent_are_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The network of a receiver goes away during a performance: it comes back, and so do the packets."""
-    instant = LiveInstant(1.0, (LivePerson(1, np.zeros((17, 3)), skeleton()),), 0.0)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(("127.0.0.1", 0))
-        with VmcSender(ports=[receiver.getsockname()[1]]) as sender:
-            with monkeypatch.context() as gone:
-                gone.setattr(sender, "_address", "255.255.255.255")  # refused, as a network that is away
-                assert sender.send(instant) == 0
-            assert sender.send(instant) == 1
+def test_people_go_to_ports_in_their_order() -> None:
+    """Persons 2 and 3 of three go to two ports."""
+    poses = [skeleton(seed) for seed in range(3)]
+    people = tuple(LivePerson(number, np.zeros((17, 3)), pose) for number, pose in enumerate(poses, 1))
+    with ExitStack() as opened:
+        port = free_port()
+        receivers = [opened.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)]
+        for place, receiver in enumerate(receivers):
+            receiver.bind(("127.0.0.1", port + place))
+            receiver.settimeout(20)
+        sender = opened.enter_context(vmc_output(port, "?people=2&person=2"))
+        assert sender.send(LiveInstant(1.0, people, 0.0)) == 2
+        assert [receiver.recv(65_536) for receiver in receivers] == [vmc_packet(person, 1.0) for person in people[1:]]

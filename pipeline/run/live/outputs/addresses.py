@@ -1,0 +1,138 @@
+"""Addresses of outputs of a live capture: the scheme names the protocol. Standard library only."""
+
+import ipaddress
+import socket
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from types import MappingProxyType
+from urllib.parse import parse_qsl, urlsplit
+
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.rules import collecting, require
+from pipeline.core.problems.finding_codes import PARAMETER_RANGE
+
+_LOOPBACK = "127.0.0.1"
+_MAX_PEOPLE = 32
+
+
+@dataclass(frozen=True, slots=True)
+class OutputProtocol:
+    """Protocol of outputs."""
+
+    label: str  # Name for people
+    factory: str  # Class of the output, a ``LiveOutput``, as ``package.module:name``
+    port: int | None = None  # Usual port; ``None``: the address has the name of a stream in the place of host and port
+    is_server: bool = False  # True: it listens at its address, and receivers connect
+    options: Mapping[str, Sequence[str]] = field(default_factory=dict)  # Values that parameters of the address may have
+
+
+_PEOPLE = tuple(map(str, range(1, _MAX_PEOPLE + 1)))
+
+OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
+    {
+        "vmc": OutputProtocol(
+            "VMC", "pipeline.run.live.outputs.vmc:VmcOutput", 39539, options={"people": _PEOPLE, "person": _PEOPLE}
+        ),
+    }
+)
+"""Protocol of outputs by the scheme of their addresses."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutputAddress:
+    """Address of an output."""
+
+    scheme: str
+    host: str  # IP address; of a protocol without ports the name of the stream
+    port: int  # 0 of a protocol without ports
+    options: Mapping[str, str]  # Parameters that are stated
+    is_network: bool = False  # True: other machines are reached, or may connect
+
+    @property
+    def protocol(self) -> OutputProtocol:
+        """Protocol of the scheme."""
+        return OUTPUTS[self.scheme]
+
+    @property
+    def text(self) -> str:
+        """Address as people write it."""
+        if self.protocol.port is None:
+            return f"{self.scheme}://{self.host}"
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        options = "&".join(f"{name}={value}" for name, value in self.options.items())
+        return f"{self.scheme}://{host}:{self.port}" + (f"?{options}" if options else "")
+
+
+def read_outputs(texts: Sequence[str], allow_network: bool) -> list[OutputAddress]:
+    """Read addresses such as ``vmc://192.168.0.20:39539``; names of hosts are resolved.
+
+    ``allow_network``: whether other machines may be reached: the protocols have neither keys nor encryption. Raises
+    ``InputError`` with the problems of all addresses.
+    """
+    with collecting() as collect:
+        addresses = [collect(partial(_read, text.strip(), allow_network)) for text in texts]
+        counts = Counter(address.text for address in addresses if address is not None)
+        collect(lambda: require(_problem(f"{text} is stated twice.") for text, count in counts.items() if count > 1))
+    return [address for address in addresses if address is not None]
+
+
+def _read(text: str, allow_network: bool) -> OutputAddress:
+    scheme, sign, rest = text.partition("://")
+    scheme = scheme.lower()
+    if not sign or scheme not in OUTPUTS:
+        usual = ", ".join(map(_example, OUTPUTS))
+        raise InputError([_problem(f"{text!r:.80} is no address of an output.", f"Write {usual}.")])
+    protocol = OUTPUTS[scheme]
+    try:
+        url = urlsplit(f"//{rest}")
+        host, port = url.hostname or "", url.port
+        options = dict(parse_qsl(url.query, keep_blank_values=True, strict_parsing=bool(url.query)))
+    except ValueError:
+        host, port, options = "", -1, {}
+    if protocol.port is None:
+        host, port = rest, 0
+    elif port is None:
+        port = protocol.port
+    is_wrong = port < (0 if protocol.is_server or protocol.port is None else 1) or not (host or protocol.is_server)
+    if is_wrong:
+        raise InputError([_problem(f"{text!r:.80} has no right host and port.", f"Write {_example(scheme)}.")])
+    require(_wrong_options(protocol, options))
+    if protocol.port is None:
+        return OutputAddress(scheme, host, port, options)
+    resolved = _resolved(host or _LOOPBACK)
+    is_network = not ipaddress.ip_address(resolved.partition("%")[0]).is_loopback
+    if is_network and not allow_network:
+        reach = "accepts other machines" if protocol.is_server else "is on another machine"
+        message = f"{text!r:.80} {reach}, and {protocol.label} has neither keys nor encryption."
+        raise InputError([_problem(message, f"Use {_LOOPBACK}, or allow the network.")])
+    return OutputAddress(scheme, resolved, port, options, is_network)
+
+
+def _wrong_options(protocol: OutputProtocol, options: Mapping[str, str]) -> Iterator[Problem]:
+    for name, value in options.items():
+        if name not in protocol.options:
+            known = ", ".join(protocol.options) or "none"
+            yield _problem(f"Addresses of {protocol.label} have no parameter {name!r:.40}.", f"Parameters: {known}.")
+        elif value not in protocol.options[name]:
+            first, *_, last = protocol.options[name]
+            yield _problem(f"{name} of an output is {first} to {last}, not {value!r:.40}.")
+
+
+def _example(scheme: str) -> str:
+    protocol = OUTPUTS[scheme]
+    if protocol.port is None:
+        return f"{scheme}://NAME"
+    return f"{scheme}://:{protocol.port}" if protocol.is_server else f"{scheme}://HOST:{protocol.port}"
+
+
+def _resolved(host: str) -> str:
+    try:
+        return str(socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][4][0])
+    except (OSError, UnicodeError):
+        raise InputError([_problem(f"The host {host!r:.80} is not known.", "Check the address.")]) from None
+
+
+def _problem(message: str, hint: str | None = None) -> Problem:
+    return Problem(PARAMETER_RANGE, message, field="output", hint=hint)

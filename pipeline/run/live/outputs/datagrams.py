@@ -1,0 +1,85 @@
+"""Datagrams to receivers of UDP, and packets of OSC whose numbers change."""
+
+import socket
+from collections.abc import Iterable, Sequence
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message_builder import OscMessageBuilder
+
+_WORD_BYTES = 4
+
+
+class DatagramSender:
+    """Sockets to ports of a host, open in a ``with`` block; no packet waits for a receiver.
+
+    ``host``: IP address. ``ports``: ports of the receivers.
+    """
+
+    def __init__(self, host: str, ports: Iterable[int]) -> None:
+        self._host, self._ports = host, tuple(ports)
+        self._sockets: dict[int, socket.socket] = {}
+
+    def __enter__(self) -> Self:
+        for port in self._ports:
+            sender = self._sockets[port] = socket.socket(
+                socket.AF_INET6 if ":" in self._host else socket.AF_INET, socket.SOCK_DGRAM
+            )
+            sender.setblocking(False)
+            sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            sender.connect((self._host, port))  # so that a machine's answer that no receiver is there is told
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for sender in self._sockets.values():
+            sender.close()
+
+    def send(self, packets: Iterable[tuple[int, bytes]]) -> int:
+        """Send packets to their ports; return how many were sent. Raises ``OSError`` if none of several could be."""
+        num_sent = 0
+        last_error: OSError | None = None
+        for port, packet in packets:
+            try:
+                self._sockets[port].send(packet)
+                num_sent += 1
+            except ConnectionRefusedError as error:  # answer to the packet before, in the place of which this one goes
+                last_error = error
+                self._sockets[port].send(packet)
+            except OSError as error:
+                last_error = error
+        if last_error is not None and not num_sent:
+            raise last_error
+        return num_sent
+
+
+class OscTemplate:
+    """Bundle of OSC messages, which receivers apply at once; its numbers change from packet to packet.
+
+    Messages are an address, texts and whole numbers that stay, and a count of numbers behind them.
+
+    >>> template = OscTemplate([("/person/1/nose", (), 3)])
+    >>> len(template.packet([0.5, -1.0, 1.6]))
+    56
+    """
+
+    def __init__(self, messages: Sequence[tuple[str, Sequence[str | int], int]]) -> None:
+        bundle, end = OscBundleBuilder(IMMEDIATELY), len(b"#bundle\0") + 8
+        places: list[int] = []
+        for address, fixed, num_numbers in messages:
+            builder = OscMessageBuilder(address)
+            for value in (*fixed, *[0.0] * num_numbers):
+                builder.add_arg(value)
+            message = builder.build()
+            bundle.add_content(message)
+            end += _WORD_BYTES + message.size
+            places += range(end // _WORD_BYTES - num_numbers, end // _WORD_BYTES)
+        self._words = np.frombuffer(bundle.build().dgram, ">f4").copy()
+        self._places = np.array(places, np.intp)
+
+    def packet(self, numbers: ArrayLike) -> bytes:
+        """Packet with the numbers of all messages, in their order."""
+        words = self._words.copy()
+        words[self._places] = numbers
+        return words.tobytes()

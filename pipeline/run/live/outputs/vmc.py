@@ -1,0 +1,108 @@
+"""VMC: skeletons of a live capture to receivers of the Virtual Motion Capture protocol, OSC over UDP.
+
+Messages and conventions: https://protocol.vmc.info/english. Bones have the names of Unity's humanoid. Unity's world is
+left-handed in metres, Y up, and a humanoid faces +Z with its left side at -X; ours is right-handed, Z up, and the rest
+pose faces -Y with its left side at +X. So a position (x, y, z) becomes (-x, z, -y), and a rotation (x, y, z, w) becomes
+(x, -z, y, w): the axis turns with the positions, and the mirrored handedness turns its sign.
+
+A receiver shows one person: ``people=3`` in the address sends three people to three ports from the stated one on, and
+``person=2`` begins with the second person.
+"""
+
+from collections.abc import Iterator
+from typing import Self
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.motion.skeleton.humanoid import UNITY_BONES
+from pipeline.motion.skeleton.model import SKELETON, rest_offsets_m
+from pipeline.run.live.outputs.datagrams import DatagramSender, OscTemplate
+from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.slots import PersonSlots
+from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
+
+_BONES = tuple((place, UNITY_BONES[joint.name]) for place, joint in enumerate(SKELETON) if joint.name in UNITY_BONES)
+_PLACES = [place for place, _ in _BONES]
+_AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+_POSE = OscTemplate(
+    [
+        ("/VMC/Ext/OK", (1,), 0),
+        ("/VMC/Ext/T", (), 1),
+        ("/VMC/Ext/Root/Pos", ("root",), 7),
+        *(("/VMC/Ext/Bone/Pos", (bone,), 7) for _, bone in _BONES),
+    ]
+)
+_ABSENT = OscTemplate([("/VMC/Ext/OK", (0,), 0), ("/VMC/Ext/T", (), 1)])
+
+
+def unity_position(xyz_m: Float[np.ndarray, "*any 3"]) -> Float[np.ndarray, "*any 3"]:
+    """Position in Unity's axes from one in ours, in metres.
+
+    >>> unity_position(np.array([1.0, 2.0, 3.0])).tolist()
+    [-1.0, 3.0, -2.0]
+    """
+    return xyz_m[..., [0, 2, 1]] * (-1.0, 1.0, -1.0)
+
+
+def unity_rotation(xyzw: Float[np.ndarray, "*any 4"]) -> Float[np.ndarray, "*any 4"]:
+    """Rotation in Unity's axes from one in ours, as quaternions (x, y, z, w).
+
+    >>> unity_rotation(np.array([0.1, 0.2, 0.3, 0.9])).tolist()
+    [0.1, -0.3, 0.2, 0.9]
+    """
+    return xyzw[..., [0, 2, 1, 3]] * (1.0, -1.0, 1.0, 1.0)
+
+
+def local_offsets_m(skeleton: LiveSkeleton) -> Float[np.ndarray, "bones 3"]:
+    """Position of each joint in its parent's frame, in metres and our axes; of the root in the world."""
+    offsets_m = rest_offsets_m(skeleton.bone_length_m)
+    offsets_m[0] = skeleton.root_m
+    return offsets_m
+
+
+def vmc_packet(person: LivePerson, time_s: float) -> bytes:
+    """Packet of a person at an instant: availability, time, root and all bones.
+
+    Without a skeleton the person is not available, and there is nothing but this and the time. The root stays at
+    Unity's origin, and the hips move.
+    """
+    skeleton = person.skeleton
+    if skeleton is None:
+        return _ABSENT.packet([time_s])
+    positions_m = unity_position(local_offsets_m(skeleton))[_PLACES]
+    rotations = unity_rotation(skeleton.parent_from_joint)[_PLACES]
+    return _POSE.packet([time_s, *_AT_ORIGIN, *np.hstack([positions_m, rotations]).ravel()])
+
+
+class VmcOutput:
+    """Output of VMC, a port a person; see ``LiveOutput``."""
+
+    def __init__(self, start: OutputStart) -> None:
+        self._address = start.address
+        first = int(start.address.options.get("person", 1))
+        num_people = int(start.address.options.get("people", 1))
+        self._slots, self._shown = PersonSlots(first - 1 + num_people), slice(first - 1, None)
+        self._ports = range(start.address.port, start.address.port + num_people)
+        self._sender = DatagramSender(start.address.host, self._ports)
+
+    def __enter__(self) -> Self:
+        self._sender.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._sender.__exit__(*error)
+
+    def ready(self) -> str:
+        """See ``LiveOutput``."""
+        return self._address.text
+
+    def send(self, instant: LiveInstant) -> int:
+        """Send the people of an instant; see ``LiveOutput``."""
+        return self._sender.send(self._packets(instant))
+
+    def _packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+        people = self._slots.update(instant)[self._shown]
+        for port, person in zip(self._ports, people, strict=True):
+            if person is not None:
+                yield port, vmc_packet(person, instant.time_s)

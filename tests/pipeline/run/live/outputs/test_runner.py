@@ -1,0 +1,131 @@
+"""Outputs while they run: none delays the capture or another one, and each tells its state."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Self
+
+import numpy as np
+import pytest
+
+from pipeline.core.errors import InputError
+from pipeline.run.live.outputs import addresses
+from pipeline.run.live.outputs.addresses import OutputProtocol
+from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.runner import LiveOutputs, OutputStatus
+from pipeline.run.live.records import LiveInstant, LivePerson
+
+SENT: list[float] = []
+HANGS = threading.Event()
+
+
+class SlowOutput:
+    """Output whose receiver takes nothing until it is told to."""
+
+    def __init__(self, start: OutputStart) -> None:
+        self._address = start.address
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def ready(self) -> str:
+        return self._address.text
+
+    def send(self, instant: LiveInstant) -> int:
+        HANGS.wait(30)
+        SENT.append(instant.time_s)
+        return 1
+
+
+class ClosedOutput(SlowOutput):
+    """Output whose address can't be used."""
+
+    def __enter__(self) -> Self:
+        raise OSError(98, "Address already in use")
+
+
+@pytest.fixture
+def protocols(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Protocols of the outputs above."""
+    SENT.clear()
+    HANGS.clear()
+    further = {
+        "slow": OutputProtocol("Slow", f"{__name__}:SlowOutput", 1),
+        "closed": OutputProtocol("Closed", f"{__name__}:ClosedOutput", 2, is_server=True),
+    }
+    monkeypatch.setattr(addresses, "OUTPUTS", {**addresses.OUTPUTS, **further})
+
+
+def instant_at(time_s: float) -> LiveInstant:
+    return LiveInstant(time_s, (LivePerson(1, np.zeros((17, 3)), None),), 0.0)
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + 20
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert condition()
+
+
+@pytest.mark.usefixtures("protocols")
+def test_output_that_hangs_drops_oldest_and_others_continue() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(20)
+        with LiveOutputs([f"vmc://127.0.0.1:{receiver.getsockname()[1]}", "slow://127.0.0.1"]) as outputs:
+            outputs.begin(["nose"], 25.0)
+            vmc, slow = outputs.statuses
+            for number in range(20):
+                outputs.show(instant_at(float(number)))
+                receiver.recv(65_536)
+            wait_for(lambda: vmc.sent == 20)
+            assert (vmc.state, vmc.dropped, slow.sent, slow.dropped) == ("sending", 0, 0, 17)
+            HANGS.set()
+            wait_for(lambda: slow.sent == 3)
+            assert SENT[-2:] == [18.0, 19.0]
+
+
+def test_output_without_receiver_says_so_until_one_comes() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        port = receiver.getsockname()[1]
+    with LiveOutputs([f"vmc://127.0.0.1:{port}"]) as outputs:
+        outputs.begin(["nose"], 25.0)
+        (status,) = outputs.statuses
+
+        def state_after_instant(state: str) -> bool:
+            outputs.show(instant_at(0.0))
+            return status.state == state
+
+        wait_for(lambda: state_after_instant("no receiver"))
+        assert status.failed > 0
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+            receiver.bind(("127.0.0.1", port))
+            wait_for(lambda: state_after_instant("sending"))
+        assert status.message is None
+
+
+@pytest.mark.usefixtures("protocols")
+def test_outputs_that_cannot_be_opened_are_told_at_once() -> None:
+    with LiveOutputs(["closed://", "closed://:3", "slow://127.0.0.1"]) as outputs, pytest.raises(InputError) as refused:
+        outputs.begin(["nose"], 25.0)
+    assert [problem.message for problem in refused.value.problems] == [
+        "closed://127.0.0.1:2 can't be opened: Address already in use.",
+        "closed://127.0.0.1:3 can't be opened: Address already in use.",
+    ]
+
+
+def test_status_document_is_json() -> None:
+    document = OutputStatus("vmc://127.0.0.1:39539", "VMC").document()
+    assert document == {
+        "address": "vmc://127.0.0.1:39539",
+        "protocol": "VMC",
+        "state": "waiting",
+        "message": None,
+        "sent": 0,
+        "dropped": 0,
+        "failed": 0,
+    }
