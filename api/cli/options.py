@@ -115,8 +115,7 @@ SceneOption = Annotated[
     str,
     typer.Option(
         help="One of room, store, store-large, outdoor, unsynchronised, crowd, crowd-2, crowd-3, crowd-5, exchange, "
-        "contact, handshake, walk, hands, sports, noisy, comings-and-goings, lying, crawl, cartwheel, handstand, "
-        "kneel, pull-up, roll, squat, kick, grappling."
+        "contact, handshake, walk, hands, sports, noisy, comings-and-goings."
     ),
 ]
 KeypointRateOption = Annotated[

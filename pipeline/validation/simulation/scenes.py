@@ -15,52 +15,39 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet
 from pipeline.core.problems.finding_codes import NEGATIVE_SEED, UNKNOWN_JOINTS, UNKNOWN_SCENE, WRONG_NUMBER_OF_VIEWS
 from pipeline.motion.angles.compute import segment_angles
-from pipeline.validation.simulation.acrobatics.acrobat import (
-    Acrobat,
-    acrobat_joints_at,
-    acrobat_segments_at,
-    perform_acrobatics,
-)
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS, ActingPart
 from pipeline.validation.simulation.motion.director import Cast, PlaceExchange, exchange, improvise
 from pipeline.validation.simulation.motion.performance import joints_at, perform, segments_at
 from pipeline.validation.simulation.motion.script import Gesture, Role, Stay, Turn, Walk
 from pipeline.validation.simulation.rigs import Clock, Layout, Rig, build_cameras, choose_views, frame_times
 from pipeline.validation.simulation.views.detector import DetectorAccuracy, detect
 from pipeline.validation.simulation.views.extremities import detect_extremities
-from pipeline.validation.simulation.views.faults import NO_FAULTS, Faults
+from pipeline.validation.simulation.views.faults import Faults
 from pipeline.validation.simulation.views.fields import Sketch, sketch
 from pipeline.validation.simulation.views.occlusion import Box
 
-_JointsAt = Callable[[Float[np.ndarray, " times"]], Float[np.ndarray, "times joints 3"]]
-_SegmentsAt = Callable[[Float[np.ndarray, " times"]], Mapping[str, Float[np.ndarray, "times 3 3"]]]
+JointsAt = Callable[[Float[np.ndarray, " times"]], Float[np.ndarray, "times joints 3"]]
+SegmentsAt = Callable[[Float[np.ndarray, " times"]], Mapping[str, Float[np.ndarray, "times 3 3"]]]
 
 Joints = Literal["body", "feet", "whole"]
 """Joints that are simulated: the body's, with heels and big toes, or with fingers too."""
 JOINT_SETS: Mapping[Joints, JointSet] = {"body": COCO_17, "feet": BODY_FEET, "whole": WHOLE_BODY}
 """Joints of the detections and of the truth by choice."""
 
-
-@dataclass(frozen=True, slots=True)
-class Acrobatics:
-    """People who perform an acrobatic motion once, and stay in its last pose."""
-
-    motion: str  # Name in ``ACROBATICS``
-    center_m: tuple[float, float] = (0.0, 0.0)  # Middle of the motion on the floor
-    facing_rad: float = 0.0  # Heading of the motion
+Act = Callable[[float, np.random.SeedSequence, JointSet], list[tuple[JointsAt, SegmentsAt]]]
+"""People of other motions than scripts, from the duration of a recording and a seed: their joints and segments."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
     """Scene: all settings of a simulation except the seed.
 
-    ``rig``, ``clock``, ``detector``: cameras, their frame times and their 2D detector. ``cast``: people who improvise,
-    exchange places or do acrobatics, or the roles of people with scripts. ``boxes``: furniture that hides people and
-    that they walk around. ``duration_s``: length of the recording.
+    ``rig``, ``clock``, ``detector``: cameras, their frame times and their 2D detector. ``cast``: people who improvise
+    or exchange places, the roles of people with scripts, or people of other motions. ``boxes``: furniture that hides
+    people and that they walk around. ``duration_s``: length of the recording.
     """
 
     rig: Rig
-    cast: Cast | PlaceExchange | Acrobatics | tuple[Role, ...]
+    cast: Cast | PlaceExchange | tuple[Role, ...] | Act
     clock: Clock = field(default_factory=Clock)
     detector: DetectorAccuracy = field(default_factory=DetectorAccuracy)
     boxes: tuple[Box, ...] = ()
@@ -151,18 +138,6 @@ def _crowd(num_people: int) -> Scene:
     return Scene(_DOME_RIG, Cast(num_people, (1.8, 1.8), gap_m=0.4, walking=0.25, gestures=gestures), duration_s=6.0)
 
 
-def _acrobatics(motion: str) -> Scene:
-    last_s = max(part.keys[-1].time_s for part in ACROBATICS[motion])
-    return Scene(
-        Rig(Layout.RING, 6, (4.0, 4.0), 2.2, focal_px=760.0, target_height_m=0.9),
-        Acrobatics(motion),
-        Clock(30.0),
-        DetectorAccuracy(noise_m=0.0, noise_px=2.5, faults=NO_FAULTS),
-        # At the slowest tempo.
-        duration_s=round(1.2 * last_s, 1),
-    )
-
-
 SCENES: Mapping[str, Scene] = {
     "room": Scene(_ROOM_RIG, Cast(3, (3.0, 3.0), gestures=_ACTIVE)),
     "store": Scene(
@@ -246,7 +221,6 @@ SCENES: Mapping[str, Scene] = {
         Cast(6, (5.0, 4.0), walking=0.7, doors_m=((-4.5, -3.0), (4.5, 3.0), (0.0, 4.2))),
         duration_s=60.0,
     ),
-    **{motion: _acrobatics(motion) for motion in ACROBATICS},
 }
 """Scenes of ``simulate`` by name."""
 
@@ -286,32 +260,16 @@ def simulate(scene_name: str, seed: int, num_views: int | None = None, joints: J
 
 def _act(
     scene: Scene, cast_seed: np.random.SeedSequence, people_seed: np.random.SeedSequence, joints: JointSet
-) -> list[tuple[_JointsAt, _SegmentsAt]]:
+) -> list[tuple[JointsAt, SegmentsAt]]:
     """Positions of each person's joints, and orientations of the segments, as functions of time."""
-    if isinstance(scene.cast, Acrobatics):
-        parts = ACROBATICS[scene.cast.motion]
-        acrobats = (
-            _acrobat(scene.cast, part, scene.duration_s, np.random.default_rng(person_seed))
-            for part, person_seed in zip(parts, people_seed.spawn(len(parts)), strict=True)
-        )
-        return [
-            (partial(acrobat_joints_at, acrobat, joints=joints), partial(acrobat_segments_at, acrobat))
-            for acrobat in acrobats
-        ]
+    if callable(scene.cast):
+        return scene.cast(scene.duration_s, people_seed, joints)
     roles = _roles(scene.cast, scene, np.random.default_rng(cast_seed))
     people = (
         perform(role, scene.duration_s, np.random.default_rng(person_seed), joints)
         for role, person_seed in zip(roles, people_seed.spawn(len(roles)), strict=True)
     )
     return [(partial(joints_at, person), partial(segments_at, person)) for person in people]
-
-
-def _acrobat(cast: Acrobatics, part: ActingPart, duration_s: float, rng: np.random.Generator) -> Acrobat:
-    cos, sin = np.cos(cast.facing_rad), np.sin(cast.facing_rad)
-    x, y = part.center_m
-    center_m = cast.center_m[0] + cos * x - sin * y, cast.center_m[1] + sin * x + cos * y
-    facing_rad = cast.facing_rad + float(np.radians(part.facing_deg))
-    return perform_acrobatics(part.keys, center_m, facing_rad, duration_s, rng)
 
 
 def _roles(cast: Cast | PlaceExchange | tuple[Role, ...], scene: Scene, rng: np.random.Generator) -> tuple[Role, ...]:

@@ -8,14 +8,15 @@ import numpy as np
 from pipeline.core.data.animation import Animation
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
-from pipeline.validation.simulation.scenes import Joints, simulate
+from pipeline.validation.simulation.scenes import Joints, record
+from tests.acrobatics.scenes import ALL_SCENES
 from tests.pipeline.motion.skeleton.observed import observe, ring_of
 
 
 @cache
 def take_of(scene: str, joints: Joints, duration_s: float) -> Animation:
     """Animation of the first person of a scene, whose joints are seen exactly."""
-    simulation = simulate(scene, 1, joints=joints)
+    simulation = record(ALL_SCENES[scene], 1, joints=joints)
     frames = slice(0, round(duration_s * simulation.timebase.frame_rate_hz))
     truth_m = simulation.truth_m[0, frames]
     is_there = np.isfinite(truth_m).all((1, 2))

@@ -10,10 +10,10 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.angles.compute import JointAngles, joint_angles, segment_angles
 from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.animate import animate
-from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, acrobat_segments_at, perform_acrobatics
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
 from pipeline.validation.simulation.motion.performance import joints_at, perform, segments_at
 from pipeline.validation.simulation.motion.script import Role, Turn, Walk
+from tests.acrobatics.acrobat import acrobat_joints_at, acrobat_segments_at, perform_acrobatics
+from tests.acrobatics.motions import ACROBATICS
 from tests.pipeline.motion.skeleton.observed import observe, ring_of
 
 RATE_HZ = 60.0

@@ -13,10 +13,10 @@ from pipeline.motion.body.shape import BodyShapes, ShapedBody, shape_body, stand
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.fitting.fit import SkeletonFit
 from pipeline.motion.skeleton.model import INDEX, forward_kinematics
-from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, feet_on_floor, perform_acrobatics
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
 from pipeline.validation.simulation.motion.performance import joints_at, perform
 from pipeline.validation.simulation.motion.script import Role, Stay, Walk
+from tests.acrobatics.acrobat import acrobat_joints_at, feet_on_floor, perform_acrobatics
+from tests.acrobatics.motions import ACROBATICS
 from tests.cases import slow_but
 from tests.pipeline.motion.body.conftest import adult_lengths_m, in_pose
 from tests.pipeline.motion.skeleton.hands.people import gesturing

@@ -7,10 +7,10 @@ from pipeline.core.joints import BODY_FEET, SIDES
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.gait.events import EventKind
 from pipeline.motion.gait.strides import Stride
-from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
 from pipeline.validation.simulation.motion.performance import joints_at
 from pipeline.validation.simulation.motion.script import Gesture, Stay, Turn, Walk
+from tests.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
+from tests.acrobatics.motions import ACROBATICS
 from tests.cases import slow_but
 from tests.pipeline.motion.gait.walks import Act, body_only, exact, gait_of, performed, treadmill, walk
 from tests.pipeline.validation.simulation.true_events import step_times

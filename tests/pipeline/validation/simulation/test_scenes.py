@@ -10,23 +10,22 @@ from pipeline.core.errors import InputError
 from pipeline.geometry.camera import project
 from pipeline.motion.body_segments import ANGLE_NAMES
 from pipeline.motion.skeleton.rotations import unit
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Clock, frame_times
 from pipeline.validation.simulation.scenes import JOINT_SETS, SCENES, Joints, Simulation, known_joints, record, simulate
 from pipeline.validation.simulation.views.detector import PERFECT, UNASSIGNED
+from tests.acrobatics.scenes import ALL_SCENES
 from tests.cases import slow_but
 
 NAMES = (
     "room", "store", "store-large", "outdoor", "unsynchronised", "crowd", "handshake", "noisy", "comings-and-goings",
     "contact", "crowd-2", "crowd-3", "crowd-5", "walk", "sports", "exchange", "hands",
-    *ACROBATICS,
 )  # fmt: skip
 HIPS = (11, 12)
 
 
 def short(name: str, seed: int = 1, duration_s: float = 3.0, num_views: int | None = 4) -> Simulation:
-    return record(replace(SCENES[name], duration_s=duration_s), seed, num_views)
+    return record(replace(ALL_SCENES[name], duration_s=duration_s), seed, num_views)
 
 
 def everything(simulation: Simulation) -> bytes:
@@ -48,7 +47,9 @@ def test_all_scenes_are_there() -> None:
     assert set(SCENES) == set(NAMES)
 
 
-@pytest.mark.parametrize("name", slow_but(("unsynchronised", "contact", "comings-and-goings", "hands", "roll"), NAMES))
+@pytest.mark.parametrize(
+    "name", slow_but(("unsynchronised", "contact", "comings-and-goings", "hands", "roll"), ALL_SCENES)
+)
 def test_records_fit_together(name: str) -> None:
     simulation = short(name)
     num_people, num_frames = simulation.present.shape
@@ -70,7 +71,7 @@ def test_records_fit_together(name: str) -> None:
 @pytest.mark.parametrize("name", ["comings-and-goings", "squat", "kick"])
 def test_true_angles_are_those_of_true_joints(name: str) -> None:
     """Angles come from rotations; hinges can be measured at the joints too."""
-    simulation = record(replace(SCENES[name], duration_s=4.0), 1, 2, "feet")
+    simulation = record(replace(ALL_SCENES[name], duration_s=4.0), 1, 2, "feet")
     present = simulation.present
     for angle, above, middle, below in (
         ("left_knee_flexion", "left_hip", "left_knee", "left_ankle"),
@@ -105,7 +106,7 @@ def test_seed_gives_same_bytes(name: str) -> None:
 )
 def test_bodies_of_seeds_are_those_of_version_0_1(name: str, expected: str) -> None:
     """Truth, detections and fields, rounded so that the last bits of a machine's arithmetic do not matter."""
-    simulation = record(replace(SCENES[name], duration_s=2.0), 5, 3)
+    simulation = record(replace(ALL_SCENES[name], duration_s=2.0), 5, 3)
     arrays = [simulation.truth_m]
     for camera in simulation.cameras:
         found = simulation.detections[camera.name]
@@ -120,7 +121,7 @@ def test_bodies_of_seeds_are_those_of_version_0_1(name: str, expected: str) -> N
 
 @pytest.mark.parametrize("joints", ["feet", "whole"])
 def test_acrobats_move_same_whatever_joints_are_asked_for(joints: Joints) -> None:
-    scene = replace(SCENES["kneel"], duration_s=0.6)
+    scene = replace(ALL_SCENES["kneel"], duration_s=0.6)
     body, more = record(scene, 3), record(scene, 3, joints=joints)
     assert more.truth_m.shape[2] == len(more.joints.names)
     np.testing.assert_array_equal(more.truth_m[:, :, :17], body.truth_m)
@@ -128,7 +129,7 @@ def test_acrobats_move_same_whatever_joints_are_asked_for(joints: Joints) -> Non
 
 @pytest.mark.parametrize("joints", ["feet", "whole"])
 def test_joints_are_those_asked_for(joints: Joints) -> None:
-    scene = replace(SCENES["hands"], duration_s=2.0)
+    scene = replace(ALL_SCENES["hands"], duration_s=2.0)
     body, more = record(scene, 3), record(scene, 3, joints=joints)
     assert more.joints == JOINT_SETS[joints]
     assert more.truth_m.shape[2] == len(more.joints.names)
@@ -142,7 +143,7 @@ def test_joints_are_those_asked_for(joints: Joints) -> None:
 
 
 def test_perfect_detections_of_extremities_project_truth() -> None:
-    simulation = record(replace(SCENES["hands"], duration_s=3.0, detector=PERFECT), 3, joints="whole")
+    simulation = record(replace(ALL_SCENES["hands"], duration_s=3.0, detector=PERFECT), 3, joints="whole")
     for camera in simulation.cameras:
         detections, identity = simulation.detections[camera.name], simulation.identities[camera.name]
         expected = project(camera, simulation.truth_m[identity, detections.frame])
@@ -161,7 +162,7 @@ def test_camera_records_same_whatever_others() -> None:
 
 
 def test_perfect_detections_are_projections_of_truth() -> None:
-    simulation = record(replace(SCENES["room"], duration_s=4.0, detector=PERFECT), 3)
+    simulation = record(replace(ALL_SCENES["room"], duration_s=4.0, detector=PERFECT), 3)
     for camera in simulation.cameras:
         detections, identity = simulation.detections[camera.name], simulation.identities[camera.name]
         expected = project(camera, simulation.truth_m[identity, detections.frame])
@@ -171,7 +172,7 @@ def test_perfect_detections_are_projections_of_truth() -> None:
 
 
 def test_unsynchronised_cameras_see_what_is_true_at_their_times() -> None:
-    simulation = record(replace(SCENES["unsynchronised"], duration_s=4.0, detector=PERFECT), 3)
+    simulation = record(replace(ALL_SCENES["unsynchronised"], duration_s=4.0, detector=PERFECT), 3)
     time_s = np.arange(simulation.timebase.num_frames) / simulation.timebase.frame_rate_hz
     for camera in simulation.cameras:
         detections, identity = simulation.detections[camera.name], simulation.identities[camera.name]
@@ -221,7 +222,7 @@ def test_crowd_is_close() -> None:
 
 
 def test_people_walk_around_boxes() -> None:
-    scene = replace(SCENES["store"], duration_s=20.0)
+    scene = replace(ALL_SCENES["store"], duration_s=20.0)
     hips_m = record(scene, 2, 1).truth_m[:, :, HIPS, :2].mean(2)
     for box in scene.boxes:
         assert not ((hips_m > box.min_m[:2]) & (hips_m < box.max_m[:2])).all(-1).any()
@@ -248,7 +249,7 @@ def test_hands_are_shaken() -> None:
     "name", slow_but(["comings-and-goings"], ["room", "outdoor", "crowd", "handshake", "comings-and-goings"])
 )
 def test_everybody_is_seen_by_two_cameras_most_of_time(name: str) -> None:
-    simulation = short(name, duration_s=10.0, num_views=SCENES[name].rig.num_cameras if name != "crowd" else 6)
+    simulation = short(name, duration_s=10.0, num_views=ALL_SCENES[name].rig.num_cameras if name != "crowd" else 6)
     views = np.zeros(simulation.present.shape, dtype=int)
     for camera in simulation.cameras:
         identity, frame = simulation.identities[camera.name], simulation.detections[camera.name].frame
@@ -269,17 +270,17 @@ def test_bad_requests_are_named_together() -> None:
 
 
 def test_casts_are_as_large_as_asked_for() -> None:
-    scene = replace(SCENES["room"], cast=Cast(5, (4.0, 4.0)), duration_s=2.0)
+    scene = replace(ALL_SCENES["room"], cast=Cast(5, (4.0, 4.0)), duration_s=2.0)
     assert record(scene, 1, 1).truth_m.shape[0] == 5
 
 
 @pytest.mark.slow
 def test_people_who_exchange_places_stay_close_and_walk() -> None:
-    simulation = record(replace(SCENES["exchange"], duration_s=12.0), 2)
+    simulation = record(replace(ALL_SCENES["exchange"], duration_s=12.0), 2)
     hips_m = simulation.truth_m[:, :, simulation.joints.indices(("left_hip", "right_hip"))].mean(2)[..., :2]
     assert len(hips_m) == 7
     assert np.linalg.norm(hips_m, axis=-1).max() < 0.9
     apart_m = np.linalg.norm(hips_m[:, None] - hips_m, axis=-1) + 9 * np.eye(7)[..., None]
     assert np.median(apart_m.min(1)) == pytest.approx(0.5, abs=0.05)
     assert (np.linalg.norm(hips_m[:, -1] - hips_m[:, 0], axis=-1) > 0.4).sum() >= 2
-    assert simulation.truth_m.tobytes() == record(replace(SCENES["exchange"], duration_s=12.0), 2).truth_m.tobytes()
+    assert simulation.truth_m.tobytes() == record(replace(ALL_SCENES["exchange"], duration_s=12.0), 2).truth_m.tobytes()

@@ -13,8 +13,8 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.feet.support import FootMarks, find_support
 from pipeline.motion.skeleton.model import joint_pose
-from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
+from tests.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
+from tests.acrobatics.motions import ACROBATICS
 from tests.cases import slow_but
 from tests.pipeline.motion.skeleton.observed import observe, ring_of
 

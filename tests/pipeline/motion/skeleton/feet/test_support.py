@@ -14,8 +14,9 @@ from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.feet.floor import ANKLE_HEIGHT_M, shared_floor
 from pipeline.motion.skeleton.feet.stances import find_contacts
 from pipeline.motion.skeleton.feet.support import FootMarks, Support, find_support
-from pipeline.validation.simulation.acrobatics.acrobat import feet_on_floor
-from pipeline.validation.simulation.scenes import simulate
+from pipeline.validation.simulation.scenes import record
+from tests.acrobatics.acrobat import feet_on_floor
+from tests.acrobatics.scenes import ACROBATIC_SCENES
 from tests.cases import slow_but
 from tests.pipeline.association.identity.test_likenesses import track
 from tests.pipeline.motion.skeleton.feet.test_stances import STEPS_HZ, steps
@@ -177,7 +178,7 @@ def test_feet_that_are_dragged_do_not_stand() -> None:
 @cache
 def acrobat(scene: str, seed: int) -> tuple[tuple[FootContact, ...], np.ndarray]:
     """Contacts of a person in a simulated scene, and where heels, toes and insteps are on the floor."""
-    simulation = simulate(scene, seed, 5, "feet")
+    simulation = record(ACROBATIC_SCENES[scene], seed, 5, "feet")
     truth_m = simulation.truth_m[-1]
     person, seen = observe(simulation.cameras, truth_m[:, :17], 2.5, seed=seed)
     config = ReconstructionConfig()

@@ -10,8 +10,8 @@ from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.motion.skeleton.fitting.fit import SkeletonFit, fit_to_rays, follow
 from pipeline.motion.skeleton.landmarks import Landmarks, bone_lengths_m
 from pipeline.motion.skeleton.model import INDEX, TRUNK
-from pipeline.validation.simulation.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
-from pipeline.validation.simulation.acrobatics.key_poses import KeyPose
+from tests.acrobatics.acrobat import acrobat_joints_at, perform_acrobatics
+from tests.acrobatics.key_poses import KeyPose
 from tests.pipeline.motion.skeleton.observed import observe, ring_of
 
 RATE_HZ = 30.0

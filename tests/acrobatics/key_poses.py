@@ -13,7 +13,7 @@ from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 
 from pipeline.core.joints import other_side
-from pipeline.validation.simulation.acrobatics import anatomy
+from tests.acrobatics import anatomy
 
 # Random variation of angles in degrees, of angles of the pelvis, and of the time between two key poses.
 _VARY_DEG, _VARY_PELVIS_DEG, _VARY_TIME = 5.0, 2.0, 0.15

@@ -7,17 +7,17 @@ import pytest
 from jaxtyping import Float
 
 from pipeline.core.joints import BODY_FEET, COCO_17, LIMBS
-from pipeline.validation.simulation.acrobatics.acrobat import (
+from pipeline.validation.simulation.motion.body import random_proportions
+from pipeline.validation.simulation.motion.feet import random_foot_shape
+from tests.acrobatics.acrobat import (
     Acrobat,
     acrobat_joints_at,
     feet_on_floor,
     perform_acrobatics,
 )
-from pipeline.validation.simulation.acrobatics.anatomy import ANGLE_LIMITS_DEG, CLEARANCE_M, POINTS, points_m
-from pipeline.validation.simulation.acrobatics.key_poses import reference_motion, vary
-from pipeline.validation.simulation.acrobatics.motions import ACROBATICS
-from pipeline.validation.simulation.motion.body import random_proportions
-from pipeline.validation.simulation.motion.feet import random_foot_shape
+from tests.acrobatics.anatomy import ANGLE_LIMITS_DEG, CLEARANCE_M, POINTS, points_m
+from tests.acrobatics.key_poses import reference_motion, vary
+from tests.acrobatics.motions import ACROBATICS
 from tests.cases import slow_but
 
 RATE_HZ = 50.0

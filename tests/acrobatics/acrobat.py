@@ -10,12 +10,12 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.core.joints import BODY_FEET, COCO_17, FINGER_JOINTS, SIDES, JointSet
 from pipeline.motion.body_segments import SEGMENTS, WORLD
-from pipeline.validation.simulation.acrobatics import anatomy
-from pipeline.validation.simulation.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
 from pipeline.validation.simulation.motion.body import random_proportions
 from pipeline.validation.simulation.motion.feet import random_foot_shape
 from pipeline.validation.simulation.motion.hands import Hands, finger_motion, fingers, random_scale
 from pipeline.validation.simulation.motion.locomotion import GRID_HZ, smoothstep
+from tests.acrobatics import anatomy
+from tests.acrobatics.key_poses import KeyPose, ReferenceMotion, reference_motion, vary
 
 # Time before and after a point is planted in which it moves to and from its place.
 _EASE_S = 0.2

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from pipeline.validation.simulation.acrobatics.key_poses import KeyPose
+from tests.acrobatics.key_poses import KeyPose
 
 _LEFT_FOOT, _RIGHT_FOOT = ("left_heel", "left_big_toe"), ("right_heel", "right_big_toe")
 _FEET = (*_LEFT_FOOT, *_RIGHT_FOOT)
