@@ -13,7 +13,7 @@ from typing import Any
 
 from api.blender.extension.glb_motion import PersonMotion
 from api.blender.extension.turns import NO_TURN, Quat, Vec, length, plus, times, turned, unit_turn
-from pipeline.export.character.bone_names import HIPS, REQUIRED, SIDES
+from pipeline.export.character.bone_names import FINGERS, HIPS, REQUIRED, SIDES
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
 
 _BUNDLE = b"#bundle\0"
@@ -25,7 +25,7 @@ _MAX_VALUES = 64
 def read_messages(packet: bytes, depth: int = 0) -> Iterator[tuple[str, tuple[Any, ...]]]:
     """Address and values of each message of a packet; raises ``ValueError`` where it is no OSC.
 
-    Values are numbers, texts, bytes, booleans and ``None``.
+    Values are numbers, texts, bytes, booleans and ``None``; values of an array are among them.
     """
     if not packet.startswith(_BUNDLE):
         yield _message(packet)
@@ -50,7 +50,7 @@ def _message(packet: bytes) -> tuple[str, tuple[Any, ...]]:
         elif tag in _READERS:
             value, place = _READERS[tag](packet, place)
             values.append(value)
-        else:
+        elif tag not in "[]":  # values of an array follow each other
             raise ValueError("a value is of an unknown type")
     return address, tuple(values)
 
@@ -89,7 +89,8 @@ _CONSTANTS: Mapping[str, Any] = {"T": True, "F": False, "N": None, "I": float("i
 
 _UPPER_CHEST = "UpperChest"  # Some senders have this bone; Multicap's skeleton lacks it.
 _JOINTS = {bone: joint for joint, bone in UNITY_BONES.items()} | {_UPPER_CHEST: _UPPER_CHEST}
-_LIMBS = ((_UPPER_CHEST, "Shoulder", "Arm", "ForeArm", "Hand"), (HIPS, "UpLeg", "Leg", "Foot"))
+_FINGERS = tuple(("Hand", *(f"Hand{finger.capitalize()}{number}" for number in (1, 2, 3))) for finger in FINGERS)
+_LIMBS = ((_UPPER_CHEST, "Shoulder", "Arm", "ForeArm", "Hand"), (HIPS, "UpLeg", "Leg", "Foot"), *_FINGERS)
 _TRUNK = (HIPS, "Spine", "Chest", _UPPER_CHEST, "Neck", "Head")
 _MAX_NUMBER = 1e4
 # Height of the ankle over the floor, as a share of thigh and shin (Winter, "Biomechanics and Motor Control of Human
@@ -102,6 +103,7 @@ def _parents() -> dict[str, str | None]:
     parents: dict[str, str | None] = dict(zip(_TRUNK, (None, *_TRUNK), strict=False))
     for side in SIDES:
         for above, *joints in _LIMBS:
+            above = f"{side}Hand" if above == "Hand" else above  # noqa: PLW2901 - fingers hang on the hand of the side
             for joint in joints:
                 parents[f"{side}{joint}"] = above
                 above = f"{side}{joint}"  # noqa: PLW2901 - the next joint hangs on it
@@ -134,7 +136,7 @@ class VmcPerson:
         if address not in {"/VMC/Ext/Bone/Pos", "/VMC/Ext/Root/Pos"} or len(values) < 8:
             return
         name, *numbers = values[:8]
-        if not all(isinstance(number, float) and abs(number) <= _MAX_NUMBER for number in numbers):
+        if not all(type(number) in {float, int} and abs(number) <= _MAX_NUMBER for number in numbers):
             return
         x, y, z, qx, qy, qz, qw = numbers
         place_m, turn = (-x, -z, y), unit_turn((qw, qx, qz, -qy))

@@ -26,22 +26,15 @@ EXTENSION = "VRMC_vrm_animation"
 """Name of the extension."""
 
 _SPEC_VERSION = "1.0"
-_FINGERS = {"Index": "Index", "Middle": "Middle", "Ring": "Ring", "Pinky": "Little"}
-_PARTS = {
-    **{
-        f"Hand{finger}{number}": f"{name}{part}"
-        for finger, name in _FINGERS.items()
-        for number, part in enumerate(("Proximal", "Intermediate", "Distal"), 1)
-    },
-    **{f"HandThumb{number}": f"Thumb{part}" for number, part in enumerate(("Metacarpal", "Proximal", "Distal"), 1)},
-}
+_THUMB = {"ThumbProximal": "ThumbMetacarpal", "ThumbIntermediate": "ThumbProximal"}
 
-HUMAN_BONES: Mapping[str, str] = MappingProxyType(
-    {
-        **{joint: bone[0].lower() + bone[1:] for joint, bone in UNITY_BONES.items()},
-        **{f"{side}{joint}": f"{side.lower()}{bone}" for side in ("Left", "Right") for joint, bone in _PARTS.items()},
-    }
-)
+
+def _vrm_bone(unity_bone: str) -> str:
+    side_bone = unity_bone[0].lower() + unity_bone[1:]
+    return next((side_bone.replace(*names) for names in _THUMB.items() if names[0] in side_bone), side_bone)
+
+
+HUMAN_BONES: Mapping[str, str] = MappingProxyType({joint: _vrm_bone(bone) for joint, bone in UNITY_BONES.items()})
 """Bone of a VRM humanoid by joint; ends of bones have none."""
 
 

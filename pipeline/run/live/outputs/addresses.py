@@ -35,6 +35,9 @@ OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
         "vmc": OutputProtocol(
             "VMC", "pipeline.run.live.outputs.vmc:VmcOutput", 39539, options={"people": _PEOPLE, "person": _PEOPLE}
         ),
+        "osc": OutputProtocol(
+            "OSC", "pipeline.run.live.outputs.osc:OscOutput", 9000, options={"people": _PEOPLE, "up": ("y", "z")}
+        ),
     }
 )
 """Protocol of outputs by the scheme of their addresses."""

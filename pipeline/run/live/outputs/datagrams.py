@@ -1,15 +1,17 @@
 """Datagrams to receivers of UDP, and packets of OSC whose numbers change."""
 
 import socket
+import struct
 from collections.abc import Iterable, Sequence
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-_WORD_BYTES = 4
+_FLOAT_BYTES = 4
+_SIZE = struct.Struct(">i")
+_BUNDLE = b"#bundle\0" + struct.pack(">q", 1)  # To be applied at once
 
 
 class DatagramSender:
@@ -57,29 +59,27 @@ class DatagramSender:
 class OscTemplate:
     """Bundle of OSC messages, which receivers apply at once; its numbers change from packet to packet.
 
-    Messages are an address, texts and whole numbers that stay, and a count of numbers behind them.
+    A message is an address, texts and whole numbers that stay, and a count of numbers behind them.
 
-    >>> template = OscTemplate([("/person/1/nose", (), 3)])
-    >>> len(template.packet([0.5, -1.0, 1.6]))
-    56
+    >>> template = OscTemplate([("/person/1/nose", (), 3), ("/person/1/neck", (), 3)])
+    >>> len(template.packet([0.5, -1.0, 1.6, 0.5, -1.0, 1.4])), len(template.packet([0.5, -1.0, 1.6], [0]))
+    (96, 56)
     """
 
-    def __init__(self, messages: Sequence[tuple[str, Sequence[str | int], int]]) -> None:
-        bundle, end = OscBundleBuilder(IMMEDIATELY), len(b"#bundle\0") + 8
-        places: list[int] = []
+    def __init__(self, messages: Iterable[tuple[str, Sequence[str | int], int]]) -> None:
+        self._heads: list[tuple[bytes, int]] = []
         for address, fixed, num_numbers in messages:
             builder = OscMessageBuilder(address)
             for value in (*fixed, *[0.0] * num_numbers):
                 builder.add_arg(value)
-            message = builder.build()
-            bundle.add_content(message)
-            end += _WORD_BYTES + message.size
-            places += range(end // _WORD_BYTES - num_numbers, end // _WORD_BYTES)
-        self._words = np.frombuffer(bundle.build().dgram, ">f4").copy()
-        self._places = np.array(places, np.intp)
+            message, num_bytes = builder.build(), num_numbers * _FLOAT_BYTES
+            head = _SIZE.pack(message.size) + message.dgram[: message.size - num_bytes]
+            self._heads.append((head, num_bytes))
 
-    def packet(self, numbers: ArrayLike) -> bytes:
-        """Packet with the numbers of all messages, in their order."""
-        words = self._words.copy()
-        words[self._places] = numbers
-        return words.tobytes()
+    def packet(self, numbers: ArrayLike, messages: Iterable[int] | None = None) -> bytes:
+        """Packet with the numbers of its messages, in their order; ``messages``: places of those to send."""
+        content, place, parts = np.asarray(numbers, ">f4").tobytes(), 0, [_BUNDLE]
+        for head, num_bytes in self._heads if messages is None else map(self._heads.__getitem__, messages):
+            parts += head, content[place : place + num_bytes]
+            place += num_bytes
+        return b"".join(parts)

@@ -2,7 +2,7 @@
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pkgutil import resolve_name
@@ -11,7 +11,8 @@ from typing import Any, Literal, Self
 from pipeline.core.errors import Problem
 from pipeline.core.options.rules import require
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE
-from pipeline.run.live.outputs.addresses import OutputAddress, read_outputs
+from pipeline.run.live.outputs.addresses import OutputProtocol, read_outputs
+from pipeline.run.live.outputs.fingers import FingerPoses
 from pipeline.run.live.outputs.output import LiveOutput, OutputStart
 from pipeline.run.live.records import LiveInstant
 
@@ -41,16 +42,15 @@ class OutputStatus:
         return asdict(self)
 
 
-class _OutputThread:
-    """Thread that sends the newest instants by an output."""
+class _NewestInstants:
+    """Thread that handles the newest instants; ``drop`` is called for each that waited for too long."""
 
-    def __init__(self, output: LiveOutput, address: OutputAddress) -> None:
-        self._output, self._is_server = output, address.protocol.is_server or address.protocol.port is None
-        self.status = OutputStatus(output.ready(), address.protocol.label, self._idle)
+    def __init__(self, name: str, handle: Callable[[LiveInstant], None], drop: Callable[[], None]) -> None:
+        self._handle, self._drop = handle, drop
         self._waiting: deque[LiveInstant] = deque()
         self._changed = threading.Condition()
         self._is_over = False
-        self._thread = threading.Thread(target=self._run, name=self.status.address, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -62,16 +62,12 @@ class _OutputThread:
             self._changed.notify()
         self._thread.join(_LAST_S)
 
-    @property
-    def _idle(self) -> OutputState:
-        return "listening" if self._is_server else "waiting"
-
     def put(self, instant: LiveInstant) -> None:
-        """Have an instant sent soon; the oldest one that waits makes room for it."""
+        """Have an instant handled soon; the oldest one that waits makes room for it."""
         with self._changed:
             if len(self._waiting) == _MAX_WAITING:
                 self._waiting.popleft()
-                self.status.dropped += 1
+                self._drop()
             self._waiting.append(instant)
             self._changed.notify()
 
@@ -82,9 +78,20 @@ class _OutputThread:
                 if not self._waiting:
                     return
                 instant = self._waiting.popleft()
-            self._send(instant)
+            self._handle(instant)
 
-    def _send(self, instant: LiveInstant) -> None:
+
+class _StatedOutput:
+    """Output with its state and counts."""
+
+    def __init__(self, output: LiveOutput, protocol: OutputProtocol) -> None:
+        self._output = output
+        # Receivers connect to servers, and to streams that have a name.
+        self._idle: OutputState = "listening" if protocol.is_server or protocol.port is None else "waiting"
+        self.status = OutputStatus(output.ready(), protocol.label, self._idle)
+
+    def send(self, instant: LiveInstant) -> None:
+        """Send an instant."""
         status = self.status
         try:
             num_sent = self._output.send(instant)
@@ -97,6 +104,10 @@ class _OutputThread:
         else:
             status.state, status.message = "sending" if num_sent else self._idle, None
             status.sent += num_sent
+
+    def drop(self) -> None:
+        """Count an instant that waited for too long."""
+        self.status.dropped += 1
 
 
 class LiveOutputs:
@@ -127,7 +138,7 @@ class LiveOutputs:
     def __init__(self, addresses: Sequence[str], *, allow_network: bool = False) -> None:
         self._addresses, self._allow_network = read_outputs(addresses, allow_network), allow_network
         self._opened = ExitStack()
-        self._threads: list[_OutputThread] = []
+        self._show: list[Callable[[LiveInstant], None]] = []
         self.statuses: list[OutputStatus] = []
         """State and counts of each output, from ``begin`` on."""
 
@@ -142,7 +153,8 @@ class LiveOutputs:
 
         Raises ``InputError`` with all outputs that can't be opened.
         """
-        problems = []
+        problems: list[Problem] = []
+        outputs: list[_StatedOutput] = []
         for address in self._addresses:
             start = OutputStart(address, rate_hz, tuple(joints), self._allow_network)
             try:
@@ -151,11 +163,28 @@ class LiveOutputs:
                 message = f"{address.text} can't be opened: {error.strerror or error}."
                 problems.append(Problem(PARAMETER_RANGE, message, field="output", hint="Choose another address."))
             else:
-                self._threads.append(self._opened.enter_context(_OutputThread(output, address)))
+                outputs.append(_StatedOutput(output, address.protocol))
         require(problems)
-        self.statuses += [thread.status for thread in self._threads]
+        self.statuses += [output.status for output in outputs]
+        threads = [self._thread(output.status.address, output.send, output.drop) for output in outputs]
+        puts: list[Callable[[LiveInstant], None]] = [thread.put for thread in threads]
+        fingers = FingerPoses(joints)
+
+        def prepare(instant: LiveInstant) -> None:
+            instant = fingers.with_fingers(instant)
+            for put in puts:
+                put(instant)
+
+        def drop() -> None:
+            for output in outputs:
+                output.drop()
+
+        self._show = [self._thread("fingers", prepare, drop).put] if fingers.has_fingers and outputs else puts
+
+    def _thread(self, name: str, handle: Callable[[LiveInstant], None], drop: Callable[[], None]) -> _NewestInstants:
+        return self._opened.enter_context(_NewestInstants(name, handle, drop))
 
     def show(self, instant: LiveInstant) -> None:
         """Have an instant sent by all outputs; returns at once."""
-        for thread in self._threads:
-            thread.put(instant)
+        for put in self._show:
+            put(instant)

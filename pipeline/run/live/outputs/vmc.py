@@ -10,29 +10,20 @@ A receiver shows one person: ``people=3`` in the address sends three people to t
 """
 
 from collections.abc import Iterator
+from functools import cache
 from typing import Self
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
-from pipeline.motion.skeleton.model import SKELETON, rest_offsets_m
+from pipeline.motion.skeleton.model import find_skeleton, rest_offsets_m
 from pipeline.run.live.outputs.datagrams import DatagramSender, OscTemplate
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 
-_BONES = tuple((place, UNITY_BONES[joint.name]) for place, joint in enumerate(SKELETON) if joint.name in UNITY_BONES)
-_PLACES = [place for place, _ in _BONES]
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-_POSE = OscTemplate(
-    [
-        ("/VMC/Ext/OK", (1,), 0),
-        ("/VMC/Ext/T", (), 1),
-        ("/VMC/Ext/Root/Pos", ("root",), 7),
-        *(("/VMC/Ext/Bone/Pos", (bone,), 7) for _, bone in _BONES),
-    ]
-)
 _ABSENT = OscTemplate([("/VMC/Ext/OK", (0,), 0), ("/VMC/Ext/T", (), 1)])
 
 
@@ -61,6 +52,15 @@ def local_offsets_m(skeleton: LiveSkeleton) -> Float[np.ndarray, "bones 3"]:
     return offsets_m
 
 
+@cache
+def _pose(num_joints: int) -> tuple[list[int], OscTemplate]:
+    """Places of the bones that are sent of a skeleton, and the packet."""
+    places = {place: joint.name for place, joint in enumerate(find_skeleton(num_joints)) if joint.name in UNITY_BONES}
+    messages = [("/VMC/Ext/Bone/Pos", (UNITY_BONES[name],), 7) for name in places.values()]
+    root = "/VMC/Ext/Root/Pos", ("root",), 7
+    return list(places), OscTemplate([("/VMC/Ext/OK", (1,), 0), ("/VMC/Ext/T", (), 1), root, *messages])
+
+
 def vmc_packet(person: LivePerson, time_s: float) -> bytes:
     """Packet of a person at an instant: availability, time, root and all bones.
 
@@ -70,9 +70,10 @@ def vmc_packet(person: LivePerson, time_s: float) -> bytes:
     skeleton = person.skeleton
     if skeleton is None:
         return _ABSENT.packet([time_s])
-    positions_m = unity_position(local_offsets_m(skeleton))[_PLACES]
-    rotations = unity_rotation(skeleton.parent_from_joint)[_PLACES]
-    return _POSE.packet([time_s, *_AT_ORIGIN, *np.hstack([positions_m, rotations]).ravel()])
+    places, template = _pose(len(skeleton.bone_length_m))
+    positions_m = unity_position(local_offsets_m(skeleton))[places]
+    rotations = unity_rotation(skeleton.parent_from_joint)[places]
+    return template.packet([time_s, *_AT_ORIGIN, *np.hstack([positions_m, rotations]).ravel()])
 
 
 class VmcOutput:

@@ -15,14 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
-from pipeline.motion.skeleton.model import SKELETON, forward_kinematics
+from pipeline.motion.skeleton.model import WHOLE_SKELETON, forward_kinematics
 from pipeline.run.live.outputs.addresses import read_outputs
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.vmc import VmcOutput, local_offsets_m, unity_position, unity_rotation, vmc_packet
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 from tests.ports import free_port
 
-NUM_BONES = len(SKELETON)
+NUM_BONES = len(WHOLE_SKELETON)
 # Left-handed axes of Unity from ours, as a matrix.
 UNITY_FROM_WORLD = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
@@ -86,7 +86,7 @@ def test_receiver_gets_every_bone_of_person() -> None:
     assert {message[0] for message in messages[3:]} == {"/VMC/Ext/Bone/Pos"}
     assert set(bones) == set(UNITY_BONES.values())
     np.testing.assert_allclose(bones["Hips"][:3], UNITY_FROM_WORLD @ pose.root_m, atol=1e-6)
-    place = next(place for place, joint in enumerate(SKELETON) if joint.name == "LeftForeArm")
+    place = next(place for place, joint in enumerate(WHOLE_SKELETON) if joint.name == "LeftForeArm")
     turn = Rotation.from_quat(pose.parent_from_joint[place]).as_matrix()
     got = Rotation.from_quat(bones["LeftLowerArm"][3:]).as_matrix()
     np.testing.assert_allclose(got, UNITY_FROM_WORLD @ turn @ UNITY_FROM_WORLD.T, atol=1e-6)
@@ -96,10 +96,10 @@ def test_receiver_gets_every_bone_of_person() -> None:
 def test_chain_of_messages_is_pose_in_mirror() -> None:
     """Joints that a receiver computes from local positions and rotations are ours in Unity's axes."""
     pose = skeleton(3)
-    places = {joint.name: place for place, joint in enumerate(SKELETON)}
+    places = {joint.name: place for place, joint in enumerate(WHOLE_SKELETON)}
     offsets, turns = unity_position(local_offsets_m(pose)), unity_rotation(pose.parent_from_joint)
     world_m, world_turns = np.zeros((NUM_BONES, 3)), [Rotation.identity()] * NUM_BONES
-    for place, joint in enumerate(SKELETON):
+    for place, joint in enumerate(WHOLE_SKELETON):
         if joint.parent is None:
             world_m[place], world_turns[place] = offsets[place], Rotation.from_quat(turns[place])
         else:
