@@ -254,7 +254,7 @@ LOCK := uv pip compile --quiet --universal --python-version 3.11 --generate-hash
 	--no-emit-index-url --no-emit-find-links
 
 lock:  ## Pin the dependencies again (needs uv)
-	$(LOCK) --extra dev --extra evaluation --extra notebook --extra opensim --extra openvino --extra rerun --extra usd --output-file requirements.lock pyproject.toml
+	$(LOCK) --extra dev --extra evaluation --extra lsl --extra notebook --extra opensim --extra openvino --extra rerun --extra usd --output-file requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --output-file docker/requirements.lock pyproject.toml
 	$(LOCK) --constraint requirements.lock --extra docs --output-file $(WEBSITE)/requirements.lock pyproject.toml
 

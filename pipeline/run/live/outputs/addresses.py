@@ -38,6 +38,7 @@ OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
         "osc": OutputProtocol(
             "OSC", "pipeline.run.live.outputs.osc:OscOutput", 9000, options={"people": _PEOPLE, "up": ("y", "z")}
         ),
+        "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, is_server=True),
     }
 )
 """Protocol of outputs by the scheme of their addresses."""
