@@ -39,6 +39,7 @@ OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
             "OSC", "pipeline.run.live.outputs.osc:OscOutput", 9000, options={"people": _PEOPLE, "up": ("y", "z")}
         ),
         "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, is_server=True),
+        "mvn": OutputProtocol("Xsens MVN", "pipeline.run.live.outputs.mvn:MvnOutput", 9763),
     }
 )
 """Protocol of outputs by the scheme of their addresses."""
