@@ -40,6 +40,7 @@ OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
         ),
         "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, is_server=True),
         "mvn": OutputProtocol("Xsens MVN", "pipeline.run.live.outputs.mvn:MvnOutput", 9763),
+        "rokoko": OutputProtocol("Rokoko", "pipeline.run.live.outputs.rokoko:RokokoOutput", 14043),
     }
 )
 """Protocol of outputs by the scheme of their addresses."""
