@@ -6,14 +6,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.core.data.cameras import Camera
+from pipeline.core.runtime import large_arrays
 from pipeline.core.runtime.jit import as_compiled
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.camera_kernels import make_lenses, reproject_all
 from pipeline.geometry.kernels import make_solver, triangulate_all
 from pipeline.geometry.triangulation import triangulate_robust
 from pipeline.geometry.undistortion import undistort_views
-
-_BLOCK = 4096  # frames that are worked on at once, to bound the memory
 
 
 def triangulate_frames(
@@ -75,10 +74,9 @@ def reproject(
     - ``mean_weight``, ``views``: mean weight and number of these cameras; 0 where there is no error.
     """
     shape = xyz_m.shape[:2]
-    error_px, mean_weight, views = np.empty(shape), np.empty(shape), np.empty(shape, np.int64)
+    error_px, mean_weight, views = (large_arrays.empty(shape, dtype) for dtype in (float, float, np.int64))
     lenses = make_lenses(cameras, min_weight)
-    for start in range(0, len(xyz_m), _BLOCK):  # arrays that are read-only are copied
-        rows = slice(start, start + _BLOCK)
+    for rows in large_arrays.blocks(len(xyz_m)):  # arrays that are read-only are copied
         flat_px = as_compiled(points_px[rows].reshape(*weights[rows].shape[:2], 2 * xyz_m.shape[1]))
         results = error_px[rows], mean_weight[rows], views[rows]
         reproject_all(lenses, as_compiled(xyz_m[rows]), flat_px, as_compiled(weights[rows]), *results)

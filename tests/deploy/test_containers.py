@@ -28,7 +28,7 @@ SERVICES = [
 ]
 OTHER_VARIABLES = {
     *(f"{name}_FILE" for name in S3_KEYS),
-    "AWS_ENDPOINT_URL", "AWS_REGION", "MULTICAP_HOME", "WORKER_PROCESSES",
+    "AWS_ENDPOINT_URL", "AWS_REGION", "MULTICAP_HOME", "TMPDIR", "WORKER_PROCESSES",
 }  # fmt: skip
 # Variables of the compose files themselves.
 COMPOSE_VARIABLES = {
@@ -67,6 +67,13 @@ def test_containers_are_closed_and_limited(path: Path, name: str) -> None:
         assert "cpus" in service
         assert not [network for network in service["networks"] if network not in {"front", "back"}]
         assert ("ports" in service) == (name == "proxy")
+
+
+@pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)
+def test_large_arrays_of_workers_are_on_a_volume(path: Path) -> None:
+    worker = yaml.safe_load(path.read_text())["services"]["worker"]
+    assert worker["environment"]["TMPDIR"] in worker["volumes"]
+    assert worker["environment"].keys() > {"TMPDIR"}
 
 
 @pytest.mark.parametrize("path", COMPOSE, ids=lambda path: path.stem)

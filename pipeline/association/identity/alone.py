@@ -5,7 +5,7 @@ place, and its joints are on the rays of the camera, about as far away as before
 adjusts them to the ray, to the lengths of the bones and to the motion before.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,13 +40,17 @@ def follow_alone(
     Joints of the frames that are added have the source ``PREDICTED``.
     """
     is_free = _is_without_person(left, persons)
-    rows: dict[int, list[int]] = {}
-    for row in np.flatnonzero(is_free).tolist():
-        rows.setdefault(int(left.frame[row]), []).append(row)
-    by_frame = rows
+    free = np.flatnonzero(is_free)
+    in_time = free[np.argsort(left.frame[free], kind="stable")]
+    borders = np.searchsorted(left.frame[in_time], np.arange(timebase.num_frames + 1))
+
+    def bodies_at(frame: int) -> list[int]:
+        return [row for row in in_time[borders[frame] : borders[frame + 1]].tolist() if is_free[row]]
+
     followed = list(persons)
+    setting = left, bodies_at, is_free, cameras, timebase, min_score
     for step in (1, -1):
-        followed = [_follow(person, step, left, by_frame, is_free, cameras, timebase, min_score) for person in followed]
+        followed = [_follow(person, step, *setting) for person in followed]
     return followed
 
 
@@ -54,7 +58,7 @@ def _follow(
     person: Person,
     step: int,
     left: Leftovers,
-    by_frame: dict[int, list[int]],
+    bodies_at: Callable[[int], Sequence[int]],
     is_free: Bool[np.ndarray, " bodies"],
     cameras: Sequence[Camera],
     timebase: Timebase,
@@ -73,7 +77,7 @@ def _follow(
             break
         if number <= _GOES_ON_S * rate_hz:
             body_m = body_m + velocity_m
-        found = _nearest(body_m, [row for row in by_frame.get(frame, ()) if is_free[row]], left, cameras, min_score)
+        found = _nearest(body_m, bodies_at(frame), left, cameras, min_score)
         if found is None:
             continue
         body_m = _on_rays(body_m, cameras[left.camera[found]], left.points_px[found], left.score[found] >= min_score)
@@ -182,8 +186,10 @@ def _is_without_person(left: Leftovers, persons: Sequence[Person]) -> Bool[np.nd
     for track, seen in persons:
         row = left.frame - track.start_frame
         inside = np.flatnonzero((row >= 0) & (row < track.num_frames))
-        theirs_px = seen.points_px[row[inside], left.camera[inside]]
-        is_free[inside] &= ~_alike(theirs_px, left.points_px[inside])
+        for block in large_arrays.blocks(len(inside)):
+            bodies = inside[block]
+            theirs_px = seen.points_px[row[bodies], left.camera[bodies]]
+            is_free[bodies] &= ~_alike(theirs_px, left.points_px[bodies])
     return is_free
 
 

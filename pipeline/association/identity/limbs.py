@@ -1,6 +1,5 @@
 """Limbs of a joint set that detectors exchange, and steady places of joints: medians over time with gaps filled."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,13 +38,9 @@ def arms_and_legs(joints: JointSet) -> tuple[LimbPair, LimbPair] | None:
 
 
 def _pair(joints: JointSet, parts: tuple[str, ...]) -> LimbPair:
-    names = list(_in_both(joints, parts))
+    names = [part for part in parts if {f"left_{part}", f"right_{part}"} <= set(joints.names)]
     left, right = (tuple(joints.index(f"{side}_{name}") for name in names) for side in ("left", "right"))
     return LimbPair(left, right)
-
-
-def _in_both(joints: JointSet, parts: tuple[str, ...]) -> Iterator[str]:
-    return (part for part in parts if {f"left_{part}", f"right_{part}"} <= set(joints.names))
 
 
 # Half of the time over which the median of a joint's places is taken: single frames of hard motion are wrong.

@@ -12,8 +12,10 @@ from jaxtyping import Bool, Float
 
 from pipeline.association.identity.merging import runs
 from pipeline.association.identity.recover_detections import MIN_JOINTS
+from pipeline.core.data.arrays import mean_known
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.people import PersonLoss, Track3D
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import center_in_world, project
 
 # Shortest time without a person before the end of the take, and between two moments of the person: shorter gaps are
@@ -84,12 +86,11 @@ def _records(times: FrameTimes, timebase: Timebase) -> Bool[np.ndarray, " frames
 
 def _middle_m(track: Track3D, timebase: Timebase) -> Float[np.ndarray, "frames 3"]:
     """Middle of a person's joints in all output frames; NaN where the person is not located."""
-    known = np.isfinite(track.xyz_m)
-    count = known.sum(1)
     middle_m = np.full((timebase.num_frames, 3), np.nan)
-    middle_m[track.frames.start : track.frames.stop] = np.where(
-        count >= MIN_JOINTS, np.where(known, track.xyz_m, 0.0).sum(1) / np.maximum(count, 1), np.nan
-    )
+    for rows in large_arrays.blocks(track.num_frames):
+        xyz_m = track.xyz_m[rows]
+        is_located = np.isfinite(xyz_m).sum(1) >= MIN_JOINTS
+        middle_m[track.start_frame :][rows] = np.where(is_located, mean_known(xyz_m, 1), np.nan)
     return middle_m
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.association.identity.tracklets import Path, make_path, pairs_within
+from pipeline.core.data.arrays import mean_known
 from pipeline.core.data.cameras import Camera, Timebase
-from pipeline.core.data.people import Source
 from pipeline.core.joints import JointSet
 from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import projection_matrices
@@ -51,7 +51,7 @@ def merge(pieces: Sequence[Person], cameras: Sequence[Camera], timebase: Timebas
     stop = max(track.start_frame + track.num_frames for track, _ in pieces)
     _, first = pieces[0]
     shape = (stop - start, *first.score.shape[1:])
-    xyz_m = np.full((shape[0], shape[2], 3), np.nan)
+    xyz_m = large_arrays.full((shape[0], shape[2], 3), np.nan)
     points_px, score = large_arrays.full((*shape, 2), np.nan), large_arrays.full(shape, 0.0)
     detection = np.full(shape[:2], -1) if all(len(seen.detection) for _, seen in pieces) else None
     num_pieces = np.zeros(shape[0], int)
@@ -62,8 +62,7 @@ def merge(pieces: Sequence[Person], cameras: Sequence[Camera], timebase: Timebas
         np.copyto(score[rows], seen.score, where=free)
         if detection is not None:
             detection[rows] = np.where(free[..., 0], seen.detection, detection[rows])
-        measured_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
-        xyz_m[rows] = np.where(num_pieces[rows, None, None] == 0, measured_m, xyz_m[rows])
+        np.copyto(xyz_m[rows], track.copy_measured(), where=num_pieces[rows, None, None] == 0)
         num_pieces[rows] += np.isfinite(track.xyz_m[..., 0]).any(-1)
     _locate(xyz_m, points_px, score, np.asarray(num_pieces > 1), cameras, min_score)
     return record_life(cameras, timebase, start, xyz_m, points_px, score, min_score, detection)
@@ -78,7 +77,7 @@ def relocate(
 ) -> Person:
     """Locate a person's joints again in frames whose observations have changed."""
     track, seen = person
-    xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
+    xyz_m = track.copy_measured()
     _locate(xyz_m, seen.points_px, seen.score, changed, cameras, min_score)
     detection = seen.detection if len(seen.detection) else None
     located = record_life(cameras, timebase, track.start_frame, xyz_m, seen.points_px, seen.score, min_score, detection)
@@ -94,22 +93,14 @@ def _locate(
     min_score: float,
 ) -> None:
     """Triangulate the joints of the chosen frames, in place."""
-    for rows in runs(chosen):
-        xyz_m[rows] = _triangulate(cameras, points_px, score, rows, min_score)
-
-
-def _triangulate(
-    cameras: Sequence[Camera],
-    points_px: Float[np.ndarray, "frames cameras joints 2"],
-    score: Float[np.ndarray, "frames cameras joints"],
-    rows: slice,
-    min_score: float,
-) -> Float[np.ndarray, "rows joints 3"]:
-    first = max(0, rows.start - _REACH)
-    around = slice(first, rows.stop + _REACH)
-    ideal_px = undistort_views(cameras, points_px[around])
-    xyz_m = triangulate_frames(projection_matrices(cameras), ideal_px, score[around], min_score)
-    return xyz_m[rows.start - first : rows.stop - first]
+    for run in runs(chosen):
+        for block in large_arrays.blocks(run.stop - run.start):
+            start, stop = run.start + block.start, run.start + block.stop
+            first = max(0, start - _REACH)
+            ideal_px = undistort_views(cameras, points_px[first : stop + _REACH])
+            seen = ideal_px, score[first : stop + _REACH]
+            located_m = triangulate_frames(projection_matrices(cameras), *seen, min_score)
+            xyz_m[start:stop] = located_m[start - first : stop - first]
 
 
 def runs(chosen: Bool[np.ndarray, " n"]) -> list[slice]:
@@ -181,13 +172,6 @@ def _is_found_twice(
 ) -> Bool[np.ndarray, "frames cameras"]:
     """True if two detected bodies of a picture are nearly the same."""
     with np.errstate(invalid="ignore"):
-        apart_px = _mean(np.linalg.norm(one_px - other_px, axis=-1))
+        apart_px = mean_known(np.linalg.norm(one_px - other_px, axis=-1), -1)
         height_px = np.fmax.reduce(one_px[..., 1], axis=-1) - np.fmin.reduce(one_px[..., 1], axis=-1)
         return apart_px < _TWICE * height_px
-
-
-def _mean(values: Float[np.ndarray, "*batch joints"]) -> Float[np.ndarray, "*batch"]:
-    """Mean of the values that are not NaN, NaN without any."""
-    known = np.isfinite(values)
-    count = known.sum(-1)
-    return np.asarray(np.where(known, values, 0.0).sum(-1) / np.where(count, count, np.nan))

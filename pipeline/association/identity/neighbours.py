@@ -16,7 +16,7 @@ from scipy.ndimage import binary_dilation
 from pipeline.association.identity.limbs import REACH_S, arms_and_legs, steady_places
 from pipeline.association.identity.merging import relocate, runs
 from pipeline.association.identity.side_candidates import SCALE_M
-from pipeline.core.data.arrays import read_only
+from pipeline.core.data.arrays import mean_known, read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.joints import COCO_17, JointSet, other_side
 from pipeline.core.runtime import large_arrays
@@ -65,7 +65,7 @@ def select_window(persons: Sequence[Person], frames: range) -> Window:
 
 def near_neighbours(window: Window, cameras: Sequence[Camera]) -> Bool[np.ndarray, "people people cameras frames"]:
     """Frames in which a camera sees the middles of two bodies near each other."""
-    middle_m = _middles(window.xyz_m)
+    middle_m = mean_known(window.xyz_m, -2)
     near = np.zeros((len(window), len(window), len(cameras), middle_m.shape[1]), bool)
     for k, camera in enumerate(cameras):
         middle_px = project(camera, middle_m)
@@ -106,14 +106,6 @@ def _life(start_frame: int, num_frames: int, frames: range) -> range:
     return range(max(start_frame, frames.start), min(start_frame + num_frames, frames.stop))
 
 
-def _middles(xyz_m: Float[np.ndarray, "people frames joints 3"]) -> Float[np.ndarray, "people frames 3"]:
-    """Means of the known joints; NaN without any."""
-    known = np.isfinite(xyz_m).all(-1)
-    count = known.sum(-1)[..., None]
-    total_m = np.where(known[..., None], xyz_m, 0.0).sum(-2)
-    return np.where(count > 0, total_m / np.maximum(count, 1), np.nan)
-
-
 # Gain of an explanation, in observations that nothing explains, that decides for the neighbour.
 _CLEARLY = 0.6
 # Share by which the places from all views may explain a limb less than places from the other views.
@@ -125,17 +117,6 @@ _NUM_ROUNDS = 2
 _BLOCK, _MIN_BLOCK = 512, 8
 _MAX_PAIRS = 4_000_000
 _FACE = COCO_17.names[: COCO_17.index("left_shoulder")]
-
-
-class TakenJoint(NamedTuple):
-    """Observation of a joint that shows the owner, not the person who has it: positions in the order of all people."""
-
-    frame: int
-    camera: int
-    person: int
-    joint: int
-    owner: int
-    owners_joint: int
 
 
 def return_limbs(
@@ -154,10 +135,10 @@ def return_limbs(
     limbs += [list(part) for pair in pairs for limb in (pair.left, pair.right) for part in (limb[:1], limb[1:])]
     limbs = [limb for limb in limbs if limb]
     for _ in range(_NUM_ROUNDS):
-        taken = _taken(returned, limbs, cameras, timebase, joints, min_score)
-        if not taken:
+        parts = [np.array(part, int) for part in _taken(returned, limbs, cameras, timebase, joints, min_score) if part]
+        if not parts:
             break
-        returned = _give_back(returned, taken, cameras, timebase, min_score)
+        returned = _give_back(returned, np.concatenate(parts), cameras, timebase, min_score)
     return returned
 
 
@@ -168,15 +149,14 @@ def _taken(
     timebase: Timebase,
     joints: JointSet,
     min_score: float,
-) -> list[TakenJoint]:
-    """Find the joints of all observations that show a neighbour."""
+) -> Iterator[list[tuple[int, ...]]]:
+    """Find the joints of all observations that show a neighbour, as ``_give_back`` takes them."""
     if len(persons) < 2:
-        return []
+        return
     sides = np.array([range(len(joints.names)), joints.indices(tuple(map(other_side, joints.names)))])
     first = min(track.start_frame for track, _ in persons)
     stop = max(track.start_frame + track.num_frames for track, _ in persons)
     margin = int(np.ceil(REACH_S * timebase.frame_rate_hz)) + 2
-    taken: list[TakenJoint] = []
     for block, frames in _blocks(persons, range(first, stop), margin):
         window = select_window(persons, frames)
         near = near_neighbours(window, cameras)
@@ -190,8 +170,7 @@ def _taken(
             affected = view.affected(near[:, :, number])
             for rows in runs(binary_dilation(affected.any((0, 1)), np.ones(2 * margin + 1, bool))):
                 expected_m = view.expected_m(affected[..., rows], rows, timebase.frame_rate_hz)
-                taken += view.taken(affected[..., rows], rows, expected_m, frames[rows].start)
-    return taken
+                yield view.taken(affected[..., rows], rows, expected_m, frames[rows].start)
 
 
 def _blocks(persons: Sequence[Person], whole: range, margin: int) -> Iterator[tuple[range, range]]:
@@ -252,10 +231,10 @@ class _View:
         rows: slice,
         expected_m: Float[np.ndarray, "people frames joints 3"],
         start_frame: int,
-    ) -> list[TakenJoint]:
-        """Joints of the observations that show a neighbour."""
+    ) -> list[tuple[int, ...]]:
+        """Joints of the observations that show a neighbour, as ``_give_back`` takes them."""
         places_px, px_per_m = self._places(expected_m)
-        found: list[TakenJoint] = []
+        found: list[tuple[int, ...]] = []
         for row in np.flatnonzero(affected.any((1, 2))).tolist():
             others = np.flatnonzero(affected[row].any(-1))
             is_seen = self._is_seen(row, rows)
@@ -271,7 +250,7 @@ class _View:
                     other, side = np.unravel_index(best[frame], cost.shape[:2])
                     joint_gain = own[frame] - of_others[other, side, frame]
                     found += [
-                        TakenJoint(
+                        (
                             start_frame + int(frame),
                             self.number,
                             self.window.person[row],
@@ -324,29 +303,38 @@ def _means(
 
 def _give_back(
     persons: Sequence[Person],
-    taken: Sequence[TakenJoint],
+    taken: Int[np.ndarray, "taken 6"],
     cameras: Sequence[Camera],
     timebase: Timebase,
     min_score: float,
 ) -> list[Person]:
-    """Take joints from the people who have them, and give them to their owners where these have none."""
-    touched = {k for each in taken for k in (each.person, each.owner)}
-    points_px = {k: large_arrays.copy(persons[k][1].points_px) for k in touched}
-    score = {k: large_arrays.copy(persons[k][1].score) for k in points_px}
-    changed = {k: np.zeros(persons[k][0].num_frames, bool) for k in points_px}
-    given: list[tuple[TakenJoint, Float[np.ndarray, " 2"], float]] = []
-    for each in taken:
-        k, at = each.person, (each.frame - persons[each.person][0].start_frame, each.camera, each.joint)
-        given.append((each, points_px[k][at].copy(), float(score[k][at])))
-        points_px[k][at], score[k][at], changed[k][at[0]] = np.nan, 0.0, True
-    for each, point_px, confidence in given:
-        k, at = each.owner, (each.frame - persons[each.owner][0].start_frame, each.camera, each.owners_joint)
-        if score[k][at] < max(min_score, np.finfo(float).tiny):
-            points_px[k][at], score[k][at], changed[k][at[0]] = point_px, confidence, True
+    """Take joints from the people who have them, and give them to their owners where these have none.
+
+    ``taken`` has frame, camera, person, joint, owner and owner's joint of each observation of a joint that shows the
+    owner, not the person who has it; people are positions in the order of all.
+    """
+    frame, camera, person, joint, owner, owners_joint = taken.T
+    row = frame - np.array([track.start_frame for track, _ in persons])[person]
+    given_px, given_score = np.empty((len(row), 2)), np.empty(len(row))
+    for k, (_, seen) in enumerate(persons):
+        theirs = person == k
+        at = row[theirs], camera[theirs], joint[theirs]
+        given_px[theirs], given_score[theirs] = seen.points_px[at], seen.score[at]
     returned = list(persons)
-    for k, places_px in points_px.items():
+    for k in np.union1d(person, owner).tolist():
         track, seen = persons[k]
-        owned = replace(seen, points_px=read_only(places_px), score=read_only(score[k]))
-        located, known = relocate((track, owned), changed[k], cameras, timebase, min_score)
+        points_px, score = large_arrays.copy(seen.points_px), large_arrays.copy(seen.score)
+        changed = np.zeros(track.num_frames, bool)
+        theirs = person == k
+        at = row[theirs], camera[theirs], joint[theirs]
+        points_px[at], score[at], changed[at[0]] = np.nan, 0.0, True
+        # Of several observations of a joint the first one is given: the last one in the reverse order.
+        to_them = np.flatnonzero(owner == k)[::-1]
+        at = frame[to_them] - track.start_frame, camera[to_them], owners_joint[to_them]
+        lacks = score[at] < max(min_score, np.finfo(float).tiny)
+        to_them, at = to_them[lacks], tuple(axis[lacks] for axis in at)
+        points_px[at], score[at], changed[at[0]] = given_px[to_them], given_score[to_them], True
+        owned = replace(seen, points_px=read_only(points_px), score=read_only(score))
+        located, known = relocate((track, owned), changed, cameras, timebase, min_score)
         returned[k] = replace(located, track_id=track.track_id), replace(known, track_id=track.track_id)
     return returned

@@ -18,9 +18,10 @@ from jaxtyping import Bool, Float, Int, Shaped
 from scipy.ndimage import uniform_filter1d
 
 from pipeline.association.identity.merging import runs
+from pipeline.core.data.arrays import mean_known
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, PersonLoss, Source, Track3D
-from pipeline.core.joints import JointSet
+from pipeline.core.joints import JointSet, other_side
 from pipeline.core.runtime import large_arrays
 from pipeline.geometry.camera import project
 from pipeline.geometry.track_assembly import Person, record_life
@@ -46,15 +47,20 @@ def end_phantoms(
     with the number of the track.
     """
     size = 2 * round(_WINDOW_S * timebase.frame_rate_hz / 2) + 1
-    is_seen = [(seen.score >= min_score) & np.isfinite(seen.points_px[..., 0]) for _, seen in persons]
-    support = [_mean_around(seen.sum((1, 2)), size) for seen in is_seen]
+    support = [
+        _mean_around(np.concatenate([_is_seen(seen, rows, min_score).sum((1, 2)) for rows in blocks]), size)
+        for track, seen in persons
+        for blocks in [large_arrays.blocks(track.num_frames)]
+    ]
     ended: list[tuple[Person | None, list[PersonLoss]]] = []
     for number, person in enumerate(persons):
         track, _ = person
         coverage = _mean_around((track.source == Source.MEASURED).mean(1), size)
         rows = np.flatnonzero((coverage < _MAX_COVERAGE) & (support[number] > 0))
         foreign = np.zeros(track.num_frames)
-        foreign[rows] = _num_foreign(number, rows, persons, is_seen, support, cameras, joints)
+        for block in large_arrays.blocks(len(rows)):
+            setting = persons, support, cameras, joints, min_score
+            foreign[rows[block]] = _num_foreign(number, rows[block], *setting)
         is_phantom = np.zeros(track.num_frames, bool)
         is_phantom[rows] = (_mean_around(foreign, size) >= _MIN_FOREIGN * support[number])[rows]
         shortest = _SHORTEST_S * timebase.frame_rate_hz
@@ -71,10 +77,10 @@ def _num_foreign(
     number: int,
     rows: Int[np.ndarray, " rows"],
     persons: Sequence[Person],
-    is_seen: Sequence[Bool[np.ndarray, "frames cameras joints"]],
     support: Sequence[Float[np.ndarray, " frames"]],
     cameras: Sequence[Camera],
     joints: JointSet,
+    min_score: float,
 ) -> Int[np.ndarray, " rows"]:
     """Number of a person's observations in some rows that show the same joint, of either side, of another person.
 
@@ -82,12 +88,12 @@ def _num_foreign(
     """
     track, seen = persons[number]
     is_foreign = np.zeros((len(rows), *seen.score.shape[1:]), bool)
-    swapped = joints.indices(tuple(_other_side(name) for name in joints.names))
+    swapped = joints.indices(tuple(map(other_side, joints.names)))
     for other, (neighbour, _) in enumerate(persons):
         their_rows = rows + track.start_frame - neighbour.start_frame
         inside = np.flatnonzero((their_rows >= 0) & (their_rows < neighbour.num_frames))
         inside = inside[support[other][their_rows[inside]] > support[number][rows[inside]]]
-        apart_m = _middle_m(neighbour.xyz_m[their_rows[inside]]) - _middle_m(track.xyz_m[rows[inside]])
+        apart_m = mean_known(neighbour.xyz_m[their_rows[inside]], 1) - mean_known(track.xyz_m[rows[inside]], 1)
         inside = inside[np.linalg.norm(apart_m, axis=-1) <= _NEAR_M]
         if other == number or not len(inside):
             continue
@@ -100,26 +106,20 @@ def _num_foreign(
             for of_joint in (slice(None), swapped):
                 apart_px = np.linalg.norm(joint_px[:, of_joint] - points_px, axis=-1)
                 is_foreign[inside, k] |= apart_px < reach_px[:, of_joint]
-    return np.asarray((is_foreign & is_seen[number][rows]).sum((1, 2)))
+    return np.asarray((is_foreign & _is_seen(seen, rows, min_score)).sum((1, 2)))
 
 
-def _middle_m(xyz_m: Float[np.ndarray, "rows joints 3"]) -> Float[np.ndarray, "rows 3"]:
-    """Middle of the known joints; NaN where none is known."""
-    known = np.isfinite(xyz_m)
-    count = known.sum(1)
-    return np.where(known, xyz_m, 0.0).sum(1) / np.where(count > 0, count, np.nan)
-
-
-def _other_side(name: str) -> str:
-    side, _, kind = name.partition("_")
-    return f"{ {'left': 'right', 'right': 'left'}[side] }_{kind}" if side in ("left", "right") else name
+def _is_seen(
+    seen: Observations, rows: slice | Int[np.ndarray, " rows"], min_score: float
+) -> Bool[np.ndarray, "rows cameras joints"]:
+    return (seen.score[rows] >= min_score) & np.isfinite(seen.points_px[rows, ..., 0])
 
 
 def _without(
     person: Person, parts: Sequence[slice], cameras: Sequence[Camera], timebase: Timebase, min_score: float
 ) -> Person | None:
     track, seen = person
-    xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
+    xyz_m = track.copy_measured()
     points_px, score = large_arrays.copy(seen.points_px), large_arrays.copy(seen.score)
     for part in parts:
         xyz_m[part], points_px[part], score[part] = np.nan, np.nan, 0.0
@@ -172,7 +172,7 @@ def log_false_alarms(
     track, seen = person
     num_views = _has_body(seen).sum(-1)
     size_px = np.median([camera.size_px for camera in cameras], axis=0)
-    error_px = _mean(track.error_px)
+    error_px = mean_known(track.error_px, -1)
     radius_px = _RADIUS * np.maximum(error_px, _LEAST_ERROR * size_px.min())
     at_line = np.minimum(1.0, num_bodies * 2 * radius_px / size_px.min())
     at_point = np.minimum(1.0, num_bodies * np.pi * radius_px**2 / size_px.prod())
@@ -186,10 +186,3 @@ def log_false_alarms(
 
 def _has_body(seen: Observations) -> Bool[np.ndarray, "frames cameras"]:
     return np.asarray((seen.score > 0).sum(-1) >= _MIN_JOINTS)
-
-
-def _mean(values: Float[np.ndarray, "frames joints"]) -> Float[np.ndarray, " frames"]:
-    """Mean of the values that are not NaN, NaN without any."""
-    known = np.isfinite(values)
-    count = known.sum(-1)
-    return np.asarray(np.where(known, values, 0.0).sum(-1) / np.where(count, count, np.nan))

@@ -39,12 +39,15 @@ def limb_lengths_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "frame
 
     Widths of shoulders and hips have no side; they stand in both places.
     """
-    xyz_m = np.where((track.source == Source.MEASURED)[..., None], track.xyz_m, np.nan)
+
+    def measured_m(name: str) -> Float[np.ndarray, "frames 3"]:
+        joint = joints.index(name)
+        return np.where((track.source[:, joint] == Source.MEASURED)[:, None], track.xyz_m[:, joint], np.nan)
 
     def length_m(start: str, end: str) -> Float[np.ndarray, " frames"]:
         if start not in joints.names or end not in joints.names:
-            return np.full(len(xyz_m), np.nan)
-        return np.asarray(np.linalg.norm(xyz_m[:, joints.index(start)] - xyz_m[:, joints.index(end)], axis=-1))
+            return np.full(track.num_frames, np.nan)
+        return np.asarray(np.linalg.norm(measured_m(start) - measured_m(end), axis=-1))
 
     of_sides_m = [[length_m(f"{side}_{start}", f"{side}_{end}") for side in _SIDES] for start, end in _LIMBS]
     widths_m = [[length_m(*(f"{side}_{name}" for side in _SIDES))] * len(_SIDES) for name in _WIDTHS]

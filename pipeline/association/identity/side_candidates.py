@@ -22,12 +22,14 @@ _LEAST_SINE2 = 0.003
 
 
 class SideCandidates(NamedTuple):
-    """SideCandidates in each frame, from the best one on."""
+    """Candidates in each frame, from the best one on, and what the views see there."""
 
     exchanged: Bool[np.ndarray, "frames candidates cameras"]  # Views whose labels are exchanged
     # Sum over the pairs of views against no exchange, in observations with score 1; infinite where there is no
     # further candidate
     cost: Float[np.ndarray, "frames candidates"]
+    label_weight: Float[np.ndarray, "frames cameras"]  # Weight of each view's labels, 0 where it sees no limb
+    is_located: Bool[np.ndarray, " frames"]  # Frames in which two views see two joints each
 
 
 class SeenRays(NamedTuple):
@@ -37,10 +39,6 @@ class SeenRays(NamedTuple):
     weight: Float[np.ndarray, "frames cameras joints"]  # Square of the score; 0 where nothing is seen
     center_m: Float[np.ndarray, "cameras 3"]  # Centres of the cameras in the world
 
-    def within(self, frames: slice) -> "SeenRays":
-        """Rays in a slice of the frames."""
-        return SeenRays(self.direction[frames], self.weight[frames], self.center_m)
-
     def select_joints(self, joints: list[int]) -> "SeenRays":
         """Rays of some joints."""
         return SeenRays(self.direction[:, :, joints], self.weight[:, :, joints], self.center_m)
@@ -49,7 +47,8 @@ class SeenRays(NamedTuple):
 def find_candidates(rays: SeenRays, limbs: LimbPair) -> SideCandidates:
     """Find the labels of the views that agree best, a view after the other, with the best ``_BEAM`` kept."""
     gain = _gains(rays, limbs)
-    sees = (rays.weight[:, :, limbs.both] > 0).sum(-1) >= 2
+    weight = rays.weight[:, :, limbs.both]
+    sees = (weight > 0).sum(-1) >= 2
     num_frames, num_cameras = sees.shape
     exchanged, cost = np.zeros((num_frames, 1, num_cameras), bool), np.zeros((num_frames, 1))
     is_first = np.ones(num_frames, bool)
@@ -68,7 +67,8 @@ def find_candidates(rays: SeenRays, limbs: LimbPair) -> SideCandidates:
     missing = max(0, NUM_CANDIDATES - cost.shape[1])
     exchanged = np.concatenate([exchanged, np.repeat(exchanged[:, :1], missing, axis=1)], axis=1)
     cost = np.concatenate([cost, np.full((num_frames, missing), np.inf)], axis=1)
-    return SideCandidates(exchanged[:, :NUM_CANDIDATES], cost[:, :NUM_CANDIDATES])
+    kept = exchanged[:, :NUM_CANDIDATES], cost[:, :NUM_CANDIDATES]
+    return SideCandidates(*kept, weight.mean(-1), sees.sum(-1) >= 2)
 
 
 def _gains(rays: SeenRays, limbs: LimbPair) -> Float[np.ndarray, "frames cameras cameras"]:
@@ -107,8 +107,6 @@ _SCALES_M = (0.3, 0.2, SCALE_M, SCALE_M)
 # Least eigenvalue of the normal equations, in views with score 1: below, the rays do not tell the depth.
 _LEAST_EIGENVALUE = 0.01
 _INERTIA = 1e-9
-# Frames that are worked on at once, to bound the memory.
-_BLOCK = 512
 
 
 class LocatedLimbs(NamedTuple):
@@ -123,12 +121,6 @@ def locate_limbs(
     rays: SeenRays, limbs: LimbPair, exchanged: Bool[np.ndarray, "frames candidates cameras"]
 ) -> LocatedLimbs:
     """Triangulate the joints of both limbs for each candidate, robustly (iteratively reweighted least squares)."""
-    blocks = [slice(start, start + _BLOCK) for start in range(0, len(exchanged), _BLOCK)]
-    located = [_locate(rays.within(block), limbs, exchanged[block]) for block in blocks]
-    return LocatedLimbs(*(np.concatenate(parts) for parts in zip(*located, strict=True)))
-
-
-def _locate(rays: SeenRays, limbs: LimbPair, exchanged: Bool[np.ndarray, "frames candidates cameras"]) -> LocatedLimbs:
     here = exchanged[..., None]
     direction = np.where(
         here[..., None], rays.direction[:, None, :, limbs.exchanged], rays.direction[:, None, :, limbs.both]

@@ -10,11 +10,13 @@ The cost of a path, as a negative logarithm of its probability, is the sum over 
 The path of least cost is found by dynamic programming (Viterbi 1967).
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.association.identity.limbs import LimbPair
 from pipeline.association.identity.side_candidates import NUM_CANDIDATES, SCALE_M, SeenRays
 
 NUM_STATES = 2 * NUM_CANDIDATES
@@ -57,11 +59,6 @@ class LimbStates:
     exchanged: Bool[np.ndarray, "moments states cameras"]  # Views whose labels are exchanged
     rays: SeenRays  # Rays of the left limb's joints, then of the right one's, at the first frame of each moment
 
-    @property
-    def is_located(self) -> Bool[np.ndarray, " moments"]:
-        """Moments at which two views see a joint."""
-        return np.asarray(np.isfinite(self.first_m[:, 0, ..., 0]).any((1, 2)))
-
 
 def limb_states(
     times_s: tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]],
@@ -93,33 +90,39 @@ def limb_states(
 
 
 def most_likely(
-    arms: LimbStates, legs: LimbStates, num_frames: Int[np.ndarray, " moments"]
+    pairs: Sequence[LimbPair], blocks: Iterable[Sequence[LimbStates]], num_frames: Int[np.ndarray, " moments"]
 ) -> tuple[Bool[np.ndarray, "moments cameras"], Bool[np.ndarray, "moments cameras"]]:
     """Find the exchanged views of arms and legs on the path of least cost.
 
-    ``num_frames`` are the frames of each moment; the costs of both limb pairs are of all frames.
+    ``blocks`` are the states of both limb pairs at consecutive moments; each block is read once. ``num_frames`` are
+    the frames of each moment; the costs of both limb pairs are of all frames.
     """
-    limbs = _Limbs(arms), _Limbs(legs)
-    num_moments = len(arms.cost)
+    limbs = [_Limbs(pair) for pair in pairs]
     total = np.zeros((NUM_STATES, NUM_STATES))
-    came_from = np.empty((num_moments, 2, NUM_STATES, NUM_STATES), np.uint8)
-    for moment in range(num_moments):
-        (from_arms, of_arms), (from_legs, of_legs) = (pair.step(moment) for pair in limbs)
-        # Both limb pairs change their states independently: first all arms for each state of the legs, then the legs.
-        by_arms = total[:, None] + from_arms[:, :, None]
-        best_arms = by_arms.argmin(0)
-        by_legs = by_arms.min(0)[:, :, None] + from_legs[None]
-        best_legs = by_legs.argmin(1)
-        came_from[moment] = np.take_along_axis(best_arms, best_legs, axis=1), best_legs
-        total = by_legs.min(1) + of_arms[:, None] + of_legs
-        if arms.is_located[moment] or legs.is_located[moment]:
-            total += num_frames[moment] * _cost_of_anatomy(*(pair.place_m for pair in limbs))
-        total -= total.min()
-        for pair in limbs:
-            pair.remember(moment)
-    paths = np.empty((2, num_moments), np.int64)
+    came_from = np.empty((len(num_frames), 2, NUM_STATES, NUM_STATES), np.uint8)
+    first = 0
+    for states in blocks:
+        for pair, of_pair in zip(limbs, states, strict=True):
+            pair.enter(of_pair)
+        last = first + len(states[0].cost)
+        for moment, (previous, frames) in enumerate(zip(came_from[first:last], num_frames[first:last], strict=True)):
+            (from_arms, of_arms), (from_legs, of_legs) = (pair.step(moment) for pair in limbs)
+            # Both limb pairs change independently: first all arms for each state of the legs, then the legs.
+            by_arms = total[:, None] + from_arms[:, :, None]
+            best_arms = by_arms.argmin(0)
+            by_legs = by_arms.min(0)[:, :, None] + from_legs[None]
+            best_legs = by_legs.argmin(1)
+            previous[:] = np.take_along_axis(best_arms, best_legs, axis=1), best_legs
+            total = by_legs.min(1) + of_arms[:, None] + of_legs
+            if any(pair.is_located[moment] for pair in limbs):
+                total += frames * _cost_of_anatomy(*(pair.place_m for pair in limbs))
+            total -= total.min()
+            for pair in limbs:
+                pair.remember(moment)
+        first = last
+    paths = np.empty((2, len(num_frames)), np.int64)
     state = np.array(np.unravel_index(total.argmin(), total.shape))
-    for moment in reversed(range(num_moments)):
+    for moment in reversed(range(len(num_frames))):
         paths[:, moment] = state
         state = came_from[moment, :, state[0], state[1]].astype(np.int64)
     return limbs[0].exchanged_on(paths[0]), limbs[1].exchanged_on(paths[1])
@@ -128,11 +131,17 @@ def most_likely(
 class _Limbs:
     """A limb pair on its way through the chain, with the places of its joints in each state."""
 
-    def __init__(self, states: LimbStates) -> None:
-        self._states, self._located = states, states.is_located
-        self._exchanged = states.exchanged.copy()
+    def __init__(self, limbs: LimbPair) -> None:
+        self._exchanged: list[Bool[np.ndarray, "_ states cameras"]] = []
         self._seen_s = -np.inf
-        self.place_m = np.full(states.first_m.shape[1:], np.nan)
+        self.place_m = np.full((NUM_STATES, 2, len(limbs.left), 3), np.nan)
+
+    def enter(self, states: LimbStates) -> None:
+        """Go on to the states of the next block of moments."""
+        self._states = states
+        self._exchanged.append(states.exchanged.copy())
+        # Moments at which two views see a joint
+        self.is_located = np.isfinite(states.first_m[:, 0, ..., 0]).any((1, 2))
 
     def step(self, moment: int) -> tuple[Float[np.ndarray, "states states"], Float[np.ndarray, " states"]]:
         """Cost of each state after each state of the moment before, and of each state by itself.
@@ -140,7 +149,7 @@ class _Limbs:
         Where fewer than two views see the limbs the states stay as they are, and a lone view follows them.
         """
         since_s = float(self._states.first_s[moment]) - self._seen_s
-        if not self._located[moment]:
+        if not self.is_located[moment]:
             stays = np.where(np.eye(NUM_STATES, dtype=bool), 0.0, np.inf)
             return stays, self._follow(moment, since_s)
         here_m = self._states.first_m[moment]
@@ -152,12 +161,12 @@ class _Limbs:
 
     def remember(self, moment: int) -> None:
         """Keep the places at the end of a moment."""
-        if self._located[moment]:
+        if self.is_located[moment]:
             self.place_m, self._seen_s = self._states.last_m[moment], float(self._states.last_s[moment])
 
     def exchanged_on(self, path: np.ndarray) -> Bool[np.ndarray, "moments cameras"]:
         """Exchanged views in the states of a path."""
-        return np.asarray(self._exchanged[np.arange(len(path)), path])
+        return np.concatenate(self._exchanged)[np.arange(len(path)), path]
 
     def _follow(self, moment: int, since_s: float) -> Float[np.ndarray, " states"]:
         """Cost of a moment at which views are alone, with the better label of each for every state."""
@@ -167,7 +176,7 @@ class _Limbs:
         scale_m = SCALE_M + _SPREAD_M_S * since_s
         kept = self._against(moment, self.place_m, scale_m)
         other = self._against(moment, self.place_m[:, ::-1], scale_m) + _PER_LABEL * rays.weight[moment].mean(-1)
-        self._exchanged[moment] = (other < kept) & rays.weight[moment].any(-1)
+        self._exchanged[-1][moment] = (other < kept) & rays.weight[moment].any(-1)
         return np.asarray(np.minimum(kept, other).sum(-1))
 
     def _against(

@@ -8,6 +8,7 @@ them costs next to nothing.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,8 +34,6 @@ _NEAR_S = 0.25
 # Limbs jump to the other side if their ways from there cost so much less.
 _JUMP = 1.5
 _LONGEST_STEP_S = 0.2
-# Frames that are worked on at once, to bound the memory.
-_BLOCK = 512
 
 
 def decide_sides(
@@ -49,25 +48,31 @@ def decide_sides(
     if pairs is None:
         return person
     track, seen = person
-    candidates = tuple(_candidates(person, limbs, cameras, min_score) for limbs in pairs)
+    candidates = _candidates(person, pairs, cameras, min_score)
     doubtful = _doubtful(track, pairs, candidates, timebase)
     if not doubtful.any():
         return person
     starts = doubtful | np.append(False, doubtful[:-1])
     starts[0] = True
     borders = np.append(np.flatnonzero(starts), len(doubtful))
-    arms, legs = (
-        _states(person, limbs, candidate, doubtful, borders, cameras, timebase, min_score)
-        for limbs, candidate in zip(pairs, candidates, strict=True)
+    num_frames = np.diff(borders)
+    moments = [_moments(of_pair, doubtful, borders) for of_pair in candidates]
+    blocks = (
+        [
+            _states(person, limbs, _Moments(*(values[block] for values in of_pair)), cameras, timebase, min_score)
+            for limbs, of_pair in zip(pairs, moments, strict=True)
+        ]
+        for block in large_arrays.blocks(len(num_frames))
     )
     points_px, score = large_arrays.copy(seen.points_px), large_arrays.copy(seen.score)
     changed = np.zeros(track.num_frames, bool)
-    num_frames = np.diff(borders)
-    for limbs, of_moments in zip(pairs, most_likely(arms, legs, num_frames), strict=True):
+    for limbs, of_moments in zip(pairs, most_likely(pairs, blocks, num_frames), strict=True):
         exchanged = np.repeat(of_moments, num_frames, axis=0)
-        for values in (points_px, score):
-            here, view = np.nonzero(exchanged)
-            values[here[:, None], view[:, None], limbs.both] = values[here[:, None], view[:, None], limbs.exchanged]
+        for view, frames in enumerate(exchanged.T):
+            for values in (points_px, score):
+                of_view = values[frames, view]
+                of_view[:, limbs.both] = of_view[:, limbs.exchanged]
+                values[frames, view] = of_view
         changed |= exchanged.any(1)
     if not changed.any():
         return person
@@ -88,12 +93,16 @@ def _rays(
     return SeenRays(np.where(is_seen[..., None], direction, 0.0), np.where(is_seen, score**2, 0.0), centers_m)
 
 
-def _candidates(person: Person, limbs: LimbPair, cameras: Sequence[Camera], min_score: float) -> SideCandidates:
-    blocks = [
-        find_candidates(_rays(person, slice(start, start + _BLOCK), cameras, min_score), limbs)
-        for start in range(0, person[0].num_frames, _BLOCK)
+def _candidates(
+    person: Person, pairs: Sequence[LimbPair], cameras: Sequence[Camera], min_score: float
+) -> list[SideCandidates]:
+    """Candidates of each limb pair."""
+    in_blocks = (_rays(person, block, cameras, min_score) for block in large_arrays.blocks(person[0].num_frames))
+    by_block = [[find_candidates(rays, limbs) for limbs in pairs] for rays in in_blocks]
+    return [
+        SideCandidates(*(np.concatenate(parts) for parts in zip(*of_pair, strict=True)))
+        for of_pair in zip(*by_block, strict=True)
     ]
-    return SideCandidates(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
 
 
 def _doubtful(
@@ -112,52 +121,66 @@ def _doubtful(
 def _jumps(track: Track3D, limbs: LimbPair, timebase: Timebase) -> Bool[np.ndarray, " frames"]:
     """Frames in which the limbs go on from the other side's places rather than from their own."""
     jumps = np.zeros(track.num_frames, bool)
-    measured = (track.source[:, limbs.both] == Source.MEASURED).any(1)
-    rows = np.flatnonzero(measured)
-    if len(rows) < 2:
-        return jumps
-    before, after = rows[:-1], rows[1:]
-    step_s = (after - before) / timebase.frame_rate_hz
-    start_m = track.xyz_m[before]
-
-    def way(from_joints: list[int]) -> Float[np.ndarray, " steps"]:
-        moved_m = track.xyz_m[after][:, limbs.both] - start_m[:, from_joints]
-        return np.asarray(cost_of_way(moved_m, step_s[:, None]).sum(-1))
-
-    jumps[after] = (way(limbs.both) - way(limbs.exchanged) > _JUMP) & (step_s <= _LONGEST_STEP_S)
+    measured = np.flatnonzero((track.source[:, limbs.both] == Source.MEASURED).any(1))
+    for block in large_arrays.blocks(len(measured) - 1):
+        rows = measured[block.start : block.stop + 1]
+        step_s, xyz_m = np.diff(rows) / timebase.frame_rate_hz, track.xyz_m[rows]
+        kept, exchanged = (
+            cost_of_way(xyz_m[1:, limbs.both] - xyz_m[:-1, joints], step_s[:, None]).sum(-1)
+            for joints in (limbs.both, limbs.exchanged)
+        )
+        jumps[rows[1:]] = (kept - exchanged > _JUMP) & (step_s <= _LONGEST_STEP_S)
     return jumps
+
+
+class _Moments(NamedTuple):
+    """A limb pair at some moments: doubtful frames, and stretches without doubts."""
+
+    # First and last frame that locates the limbs; the moment's own if none does
+    first: Int[np.ndarray, " moments"]
+    last: Int[np.ndarray, " moments"]
+    num_frames: Int[np.ndarray, " moments"]
+    exchanged: Bool[np.ndarray, "moments candidates cameras"]
+    is_candidate: Bool[np.ndarray, "moments candidates"]
+    label_weight: Float[np.ndarray, "moments cameras"]  # Sum over the frames
+
+
+def _moments(
+    candidates: SideCandidates, doubtful: Bool[np.ndarray, " frames"], borders: Int[np.ndarray, " borders"]
+) -> _Moments:
+    """Moments between borders. In a stretch the labels stay as they are, or are exchanged in all views."""
+    start = borders[:-1]
+    is_stretch = ~doubtful[start]
+    exchanged, is_candidate = candidates.exchanged[start], np.isfinite(candidates.cost[start])
+    exchanged[is_stretch] = False
+    is_candidate[is_stretch] = np.arange(is_candidate.shape[1]) == 0
+    return _Moments(
+        *_located_ends(candidates.is_located, borders),
+        np.diff(borders),
+        exchanged,
+        is_candidate,
+        np.add.reduceat(candidates.label_weight, start),
+    )
 
 
 def _states(
     person: Person,
     limbs: LimbPair,
-    candidates: SideCandidates,
-    doubtful: Bool[np.ndarray, " frames"],
-    borders: Int[np.ndarray, " borders"],
+    moments: _Moments,
     cameras: Sequence[Camera],
     timebase: Timebase,
     min_score: float,
 ) -> LimbStates:
-    """States at all moments. In a stretch without doubts the labels stay as they are, or are exchanged in all views."""
-    start = borders[:-1]
-    is_stretch = ~doubtful[start]
-    exchanged = np.where(is_stretch[:, None, None], False, candidates.exchanged[start])
-    cost = np.where(is_stretch[:, None], np.inf, candidates.cost[start])
-    cost[is_stretch, 0] = 0.0
-    _, seen = person
-    score = seen.score[:, :, limbs.both]
-    weight = np.where(score >= min_score, score, 0.0) ** 2
-    frames = _located_ends(np.asarray(((weight > 0).sum(-1) >= 2).sum(-1) >= 2), borders)
-    rays = [_rays(person, of_moments, cameras, min_score) for of_moments in frames]
-    first, last = (locate_limbs(of_moments, limbs, exchanged) for of_moments in rays)
-    first_s, last_s = (of_moments / timebase.frame_rate_hz for of_moments in frames)
+    """States of a limb pair at some moments."""
+    rays = [_rays(person, frames, cameras, min_score) for frames in (moments.first, moments.last)]
+    first, last = (locate_limbs(of_moments, limbs, moments.exchanged) for of_moments in rays)
     return limb_states(
-        (first_s, last_s),
+        (moments.first / timebase.frame_rate_hz, moments.last / timebase.frame_rate_hz),
         (first.xyz_m, last.xyz_m),
-        np.where(np.isfinite(cost), first.residual * np.diff(borders)[:, None], np.inf),
-        exchanged,
+        np.where(moments.is_candidate, first.residual * moments.num_frames[:, None], np.inf),
+        moments.exchanged,
         rays[0].select_joints(limbs.both),
-        np.add.reduceat(weight.mean(-1), start),
+        moments.label_weight,
     )
 
 

@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from pipeline.core.data.arrays import mean_known
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
+from pipeline.core.runtime import large_arrays
 
 _TORSO = "left_shoulder", "right_shoulder", "left_hip", "right_hip"
 # A person who was located in no frame for longer may be another person afterwards.
@@ -45,7 +47,11 @@ class Path:
 def make_path(track: Track3D, joints: JointSet) -> Path:
     """Way of a track's trunk; see ``Path``."""
     torso = [joints.index(name) for name in _TORSO if name in joints.names]
-    return Path(track.start_frame, _first_known(_mean(track.xyz_m[:, torso]), _mean(track.xyz_m)))
+    way_m = np.empty((track.num_frames, 3))
+    for rows in large_arrays.blocks(track.num_frames):
+        trunk_m = mean_known(track.xyz_m[rows, torso], 1)
+        way_m[rows] = np.where(np.isfinite(trunk_m), trunk_m, mean_known(track.xyz_m[rows], 1))
+    return Path(track.start_frame, way_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,22 +147,6 @@ def cut_at_moments(pieces: Sequence[Tracklet], moments: Sequence[DoubtfulMoment]
                 start, before = frame, number
         cut.append(Tracklet(piece.track, start, piece.stop_frame, before, -1))
     return sorted(cut, key=lambda tracklet: (tracklet.start_frame, tracklet.track))
-
-
-def _mean(xyz_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Mean over the known joints, NaN without any."""
-    known = np.isfinite(xyz_m[..., 0])
-    count = known.sum(-1)
-    total = np.where(known[..., None], xyz_m, 0.0).sum(1)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / np.where(count, count, np.nan)[:, None])
-
-
-def _first_known(
-    first: Float[np.ndarray, "frames 3"], second: Float[np.ndarray, "frames 3"]
-) -> Float[np.ndarray, "frames 3"]:
-    known: Bool[np.ndarray, "frames 3"] = np.isfinite(first)
-    return np.where(known, first, second)
 
 
 # Stretch of a path from which its velocity at an end is measured, and longest time for which it is extrapolated.

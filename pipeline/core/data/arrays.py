@@ -1,4 +1,4 @@
-"""Read-only arrays, empty ones for the records' defaults, and short texts of records."""
+"""Read-only arrays, empty ones for the records' defaults, means of known values, and short texts of records."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -12,6 +12,13 @@ def read_only(array: np.ndarray) -> np.ndarray:
     """Mark an array as read-only and return it."""
     array.flags.writeable = False
     return array
+
+
+def mean_known(values: Float[np.ndarray, "*shape"], axis: int) -> Float[np.ndarray, "*rest"]:
+    """Mean over an axis of the values that are not NaN; NaN without any."""
+    known = np.isfinite(values)
+    count = known.sum(axis)
+    return np.asarray(np.where(known, values, 0.0).sum(axis) / np.where(count, count, np.nan))
 
 
 def no_frames() -> Int[np.ndarray, " 0"]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.core.data.arrays import no_detections, short_text
+from pipeline.core.runtime import large_arrays
 
 
 class Source(IntEnum):
@@ -76,6 +77,12 @@ class Track3D:
         """All arrays by name, a row a frame."""
         names = ("xyz_m", "score", "source", "error_px", "views", "uncertainty_m", "world_from_segment")
         return {name: array for name in names if (array := getattr(self, name)) is not None}
+
+    def copy_measured(self) -> Float[np.ndarray, "frames joints 3"]:
+        """Copy the world positions; NaN where a joint was not measured."""
+        xyz_m = large_arrays.copy(self.xyz_m)
+        xyz_m[self.source != Source.MEASURED] = np.nan
+        return xyz_m
 
     def part(self, rows: slice) -> "Track3D":
         """Some rows of the track."""

@@ -5,7 +5,7 @@ in memory as usual.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -14,6 +14,7 @@ from pipeline.core.runtime.resources import map_file, release_pages
 
 MIN_BYTES = 16 * 2**20
 """Size from which on arrays are in files."""
+_BLOCK = 512
 
 
 def empty(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> np.ndarray:
@@ -37,6 +38,11 @@ def copy(array: np.ndarray) -> np.ndarray:
     copied = empty(array.shape, array.dtype)
     copied[...] = array
     return copied
+
+
+def blocks(num_rows: int) -> Iterator[slice]:
+    """Blocks of rows that are worked on at once, to bound the memory of the steps between."""
+    return (slice(start, min(start + _BLOCK, num_rows)) for start in range(0, num_rows, _BLOCK))
 
 
 def concatenate(arrays: Sequence[np.ndarray]) -> np.ndarray:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.vertical import cameras_lean_deg
 from pipeline.core.data.animation import Floor
+from pipeline.core.data.arrays import mean_known
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
@@ -88,16 +89,10 @@ def _points_m(track: Track3D, joints: JointSet, names: Sequence[str]) -> Float[n
     return track.xyz_m[:, joints.indices(tuple(name for name in names if name in joints.names))]
 
 
-def _mean_m(points_m: Float[np.ndarray, "frames joints 3"]) -> Float[np.ndarray, "frames 3"]:
-    """Mean of the known joints of each frame; NaN for frames without a known joint."""
-    known = np.isfinite(points_m)
-    count = known.sum(1)
-    return np.where(known, points_m, 0.0).sum(1) / np.where(count > 0, count, np.nan)
-
-
 def feet_to_head_m(track: Track3D, joints: JointSet) -> Float[np.ndarray, "frames 3"]:
     """Vector in metres from the ankles to the head in each frame; NaN if one of them is unknown."""
-    return _mean_m(_points_m(track, joints, _HEAD)) - _mean_m(_points_m(track, joints, _ANKLES))
+    head_m, ankles_m = (mean_known(_points_m(track, joints, names), 1) for names in (_HEAD, _ANKLES))
+    return head_m - ankles_m
 
 
 def _floor_m(tracks: Sequence[Track3D], joints: JointSet, floor: Floor | None) -> float:

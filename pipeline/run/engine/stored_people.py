@@ -74,7 +74,7 @@ def _places(track: Track3D, joints: JointSet, max_places: int) -> tuple[tuple[in
         centre_m[row] = track.xyz_m[row, known[row]].mean(0)
     hips = [number for number, name in enumerate(joints.names) if name in ("left_hip", "right_hip")]
     has_hips = known[:, hips].all(-1) if hips else np.zeros(track.num_frames, bool)
-    centre_m[has_hips] = track.xyz_m[has_hips][:, hips].mean(1)
+    centre_m[has_hips] = track.xyz_m[:, hips][has_hips].mean(1)
     rows = np.flatnonzero(np.isfinite(centre_m).all(-1))
     tolerance_m = _TOLERANCE_M
     while len(kept := _corners(rows, centre_m[rows], tolerance_m)) > max_places:

@@ -108,6 +108,27 @@ def test_blocks_are_shorter_more_pairs_of_people_there_are(monkeypatch: pytest.M
     assert all(len(present(persons, frames)) ** 2 * len(frames) <= most for _, frames in blocks)
 
 
+def changed(person: Person, frame: int, joint: int, place_px: float, score: float) -> Person:
+    """Person with another observation of a joint in the third camera."""
+    track, seen = person
+    points_px, scores = seen.points_px.copy(), seen.score.copy()
+    at = frame - track.start_frame, 2, joint
+    points_px[at], scores[at] = place_px, score
+    return track, replace(seen, points_px=points_px, score=scores)
+
+
+def test_joint_that_two_neighbours_have_is_of_first() -> None:
+    simulation, persons = crowded()
+    frame, joint = max(track.start_frame for track, _ in persons[:3]) + 5, COCO_17.index("left_wrist")
+    places = (np.nan, 0.0), (200.0, 0.8), (300.0, 0.9)
+    three = [changed(person, frame, joint, *place) for person, place in zip(persons, places, strict=False)]
+    taken = np.array([[frame, 2, neighbour, joint, 0, joint] for neighbour in (1, 2)])
+    given = neighbours._give_back(three, taken, simulation.cameras, simulation.timebase, _MIN_SCORE)
+    scores = [seen.score[frame - track.start_frame, 2, joint] for track, seen in given]
+    assert scores == [0.8, 0.0, 0.0]
+    np.testing.assert_array_equal(given[0][1].points_px[frame - given[0][0].start_frame, 2, joint], 200.0)
+
+
 def test_somebody_alone_is_returned_as_is() -> None:
     simulation, persons = crowded()
     assert returned(simulation, persons[:1]) == [persons[0]]

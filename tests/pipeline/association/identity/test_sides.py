@@ -12,6 +12,7 @@ from pipeline.association.identity.merging import relocate
 from pipeline.association.identity.sides import decide_sides
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.joints import COCO_17
+from pipeline.core.runtime import large_arrays
 from pipeline.geometry.track_assembly import Person
 from tests.pipeline.association.identity.people import RATE_HZ, person, walker
 
@@ -74,6 +75,19 @@ def test_views_that_call_left_right_are_exchanged(
     assert wrong(mended, acrobat) < 0.01
     error_m = np.linalg.norm(mended[0].xyz_m - acrobat[0].xyz_m, axis=-1)
     assert np.nanmax(error_m) < 0.1
+
+
+def test_sides_do_not_depend_on_blocks(
+    acrobat: Person, ring: tuple[Camera, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = np.random.default_rng(3).random((NUM_FRAMES, len(ring))) < 0.25
+    mixed = located(exchange(acrobat, where, [(ARMS.both, ARMS.exchanged)]), ring)
+    whole = decided(mixed, ring)
+    monkeypatch.setattr(large_arrays, "_BLOCK", 7)
+    in_blocks = decided(mixed, ring)
+    assert wrong(whole, mixed) > 0.2
+    np.testing.assert_array_equal(in_blocks[1].points_px, whole[1].points_px)
+    np.testing.assert_array_equal(in_blocks[0].xyz_m, whole[0].xyz_m)
 
 
 def test_all_views_may_call_left_right_at_once(acrobat: Person, ring: tuple[Camera, ...]) -> None:

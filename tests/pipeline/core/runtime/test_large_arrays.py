@@ -38,6 +38,14 @@ def test_small_array_is_in_memory() -> None:
     assert large_arrays.empty((NUM_BYTES,), bool).base is not None
 
 
+def test_blocks_have_every_row_once() -> None:
+    rows = np.arange(1_500)
+    blocks = list(large_arrays.blocks(len(rows)))
+    np.testing.assert_array_equal(np.concatenate([rows[block] for block in blocks]), rows)
+    assert max(block.stop - block.start for block in blocks) == 512
+    assert list(large_arrays.blocks(0)) == []
+
+
 def test_copied_and_concatenated_large_arrays_equal_numpy_s() -> None:
     parts: list[np.ndarray] = [np.arange(NUM_BYTES // 8, dtype=np.float32).reshape(-1, 2), np.ones((3, 2))]
     joined = large_arrays.concatenate(parts)
