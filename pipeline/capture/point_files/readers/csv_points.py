@@ -1,4 +1,7 @@
-"""Reader of CSV files with columns such as ``left_knee_x_m``: ours, FreeMoCap's, and tables of one's own."""
+"""Reader of CSV files with columns such as ``left_knee_x_m``: ours, FreeMoCap's, anipose's, and tables of one's own.
+
+DeepLabCut's 3D files have rows of headers instead: scorer, individuals (of several people), body parts and coordinates.
+"""
 
 import re
 from io import StringIO
@@ -17,10 +20,17 @@ _TIMES = ("time_s", "time", "t", "timestamp")
 
 @point_reader("CSV", ".csv")
 def read_csv(path: Path) -> PointTable:
-    """Read a file: a line of headers, then a row a frame."""
+    """Read a file: a line of headers, or DeepLabCut's rows of them, then a row a frame."""
     head, _, rest = path.read_text("utf-8-sig").partition("\n")
     separator = next((mark for mark in (";", "\t") if mark in head), ",")
-    columns = [cell.strip().strip('"') for cell in head.split(separator)]
+
+    def cells(line: str) -> list[str]:
+        return [cell.strip().strip('"') for cell in line.split(separator)]
+
+    columns = cells(head)
+    if columns[0] == "scorer":
+        *heads, rest = rest.split("\n", 2 + rest.startswith("individuals"))
+        columns = [f"{':'.join(names)}_{axis}" for *names, axis in zip(*map(cells, heads), strict=True)]
     values = np.genfromtxt(StringIO(rest), delimiter=separator, ndmin=2)
     places: dict[str, dict[str, int]] = {}
     units = set()

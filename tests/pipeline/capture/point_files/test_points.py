@@ -321,6 +321,43 @@ def test_folder_of_3d_json_is_a_take(take: Path, tmp_path: Path, field: str) -> 
     np.testing.assert_allclose(found["left_knee"][0], expected["left_knee"][0])
 
 
+def table_of_others(take: Path, heads: list[list[str]], more: list[str]) -> str:
+    """CSV of another program in millimetres: rows of headers, and further numbers behind the three of each joint."""
+    places = np.concatenate([*np.stack(list(positions_m(take).values()), axis=2)], axis=1) * 1000.0
+    lines = [",".join(head) for head in heads]
+    lines += [
+        ",".join([str(frame), *(",".join([*map(repr, point.tolist()), *more]) for point in points)])
+        for frame, points in enumerate(places)
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def test_csv_of_deeplabcut_in_3d_has_its_individuals(take: Path, tmp_path: Path) -> None:
+    names = list(positions_m(take))
+    heads = [
+        ["scorer", *["DLC_3D"] * 6 * len(names)],
+        ["individuals", *[animal for animal in ("one", "two") for _ in range(3 * len(names))]],
+        ["bodyparts", *[name for name in names * 2 for _ in range(3)]],
+        ["coords", *["x", "y", "z"] * 2 * len(names)],
+    ]
+    (tmp_path / "a_DLC_3D.csv").write_text(table_of_others(take, heads, []))
+    session = Session.from_files([tmp_path / "a_DLC_3D.csv"], 25.0)
+    for joint, places_m in located_m(session).items():
+        np.testing.assert_allclose(places_m, positions_m(take)[joint], atol=1e-9)
+    assert len(session.people) == 2
+
+
+def test_csv_of_anipose_keeps_errors_and_axes_apart(take: Path, tmp_path: Path) -> None:
+    columns = "x", "y", "z", "error", "ncams", "score"
+    head = ["fnum", *[f"{person}:{name}_{part}" for person in "ab" for name in positions_m(take) for part in columns]]
+    text = table_of_others(take, [head], ["1.5", "3.0", "0.9"])
+    axes = ["M_00", "M_01", "center_0"], ["1.0", "0.0", "0.5"]
+    lines = [",".join([line, *axes[number > 0]]) for number, line in enumerate(text.splitlines())]
+    (tmp_path / "pose-3d.csv").write_text("\n".join(lines))
+    for joint, places_m in located_m(Session.from_files([tmp_path / "pose-3d.csv"], 25.0)).items():
+        np.testing.assert_allclose(places_m, positions_m(take)[joint], atol=1e-9)
+
+
 def test_array_of_freemocap_is_read_by_its_number_of_points(take: Path, tmp_path: Path) -> None:
     expected = positions_m(take)
     array = np.full((len(expected["nose"][0]), 33, 3), np.nan)
@@ -373,6 +410,11 @@ def test_netcdf_of_movement_has_its_people(take: Path, tmp_path: Path) -> None:
         ("a.txt", "", r"Files of 3D points end with \.bvh, \.c3d"),
         ("a.trc", "hello", "no header of TRC"),
         ("a.csv", "a,b\n1,2\n", "no columns such as left_knee_x"),
+        (
+            "a.csv",
+            "scorer,s,s,s\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,1,2,1\n",
+            "no columns such as left_knee_x, left_knee_y and left_knee_z",
+        ),
         (
             "a.csv",
             "time,a_x,a_y,a_z\n0,1,2,3\n0.1,1,2,3\n",
