@@ -11,17 +11,21 @@ import typer
 
 from api.cli import options
 from api.cli.console import JsonOption, console, print_table, reporting, shows_help
-from pipeline.core.errors import Problem
-from pipeline.core.options.config import PROFILES
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.options.config import PROFILES, MotionChoices
 from pipeline.core.options.rules import collecting, require
 from pipeline.core.problems.finding_codes import OUTPUT_EXISTS
+from pipeline.core.problems.request_codes import VALUE_NOT_ALLOWED
+from pipeline.core.problems.session_codes import CALIBRATION_MISSING
 from pipeline.run.live.cameras.sources import read_sources
+from pipeline.run.live.outputs.addresses import OUTPUTS, example
 
 if not shows_help():
     from api.cli.live.outputs import JsonLines, KeptKeypoints, ListenerGroup, Terminal, opened_output, summary_line
     from api.cli.live.preview import PreviewPage
     from pipeline.calibration.registry import read_calibration
-    from pipeline.run.live.cameras.listeners import OutputListener, capture
+    from pipeline.core.data.cameras import Camera
+    from pipeline.run.live.cameras.listeners import OutputListener, PatternRun, capture
     from pipeline.run.live.cameras.run import CameraRun
     from pipeline.run.live.cameras.totals import LiveTotals
     from pipeline.run.live.outputs.runner import LiveOutputs
@@ -29,16 +33,19 @@ if not shows_help():
 
 @options.with_choices("joints", "appearance")
 def command(
-    calibration: Annotated[Path, typer.Option(help="Calibration file, like multicap reconstruct.")],
+    calibration: Annotated[Path | None, typer.Option(help="Calibration file, like multicap reconstruct.")] = None,
     camera: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             metavar="CAMERA=SOURCE",
             help="Source of a camera: rtsp://..., http://... (MJPEG, MPEG-TS), a device (/dev/video0), or a video "
             "file, which is played at its own pace. Repeatable.",
         ),
-    ],
+    ] = None,
     *,
+    test_pattern: Annotated[
+        bool, typer.Option("--test-pattern", help="Send a simulated person in place of cameras, to set up receivers.")
+    ] = False,
     units: options.UnitsOption = None,
     up: options.UpOption = "z",
     profile: Annotated[
@@ -57,7 +64,9 @@ def command(
     ] = None,
     output: Annotated[
         list[str] | None,
-        typer.Option(metavar="URL", help="Program that gets the people, such as vmc://127.0.0.1:39539. Repeatable."),
+        typer.Option(
+            metavar="URL", help=f"Program that gets the people: {', '.join(map(example, OUTPUTS))}. Repeatable."
+        ),
     ] = None,
     allow_network: Annotated[bool, typer.Option("--allow-network", help="Allow outputs to other machines.")] = False,
     lines: Annotated[
@@ -80,16 +89,22 @@ def command(
         choices = options.checked({**chosen, "profile": profile})
         options.take_provider(provider)
         with collecting() as collect:
-            cameras = (
-                collect(lambda: read_calibration(calibration, options.known_units(units), options.known_up(up))) or ()
-            )
-            sources = collect(lambda: read_sources(camera, [known.name for known in cameras])) if cameras else None
+            cameras: tuple[Camera, ...] = ()
+            sources = None
+            if test_pattern:
+                collect(lambda: require(_with_pattern(calibration=calibration, camera=camera, keep=keep)))
+            else:
+                cameras = collect(lambda: _read_cameras(calibration, units, up)) or ()
+                names = [known.name for known in cameras]
+                sources = collect(lambda: read_sources(camera or (), names)) if cameras else None
             outputs = collect(lambda: opened.enter_context(LiveOutputs(output or (), allow_network=allow_network)))
             collect(lambda: require([*_existing_files(keep, lines)]))
             page = None if preview is None else collect(lambda: opened.enter_context(PreviewPage(preview)))
         by_name = {known.name: known for known in cameras}
         listener = ListenerGroup()
-        run = CameraRun([by_name[source.camera] for source in sources or ()], sources or (), choices, listener, sync)
+        run: CameraRun | PatternRun = PatternRun(listener)
+        if sources is not None:
+            run = CameraRun([by_name[source.camera] for source in sources], sources, choices, listener, sync)
         if as_json:
             listener.add(JsonLines(sys.stdout))
         if lines is not None:
@@ -104,12 +119,34 @@ def command(
         if not as_json:
             listener.add(Terminal(opened.enter_context(console.status("Opening the cameras ..."))))
         with _stopped_by_signals(run.stop):
-            capture(run, choices)
+            _execute(run, choices)
         listener.end(run.totals)
         if not as_json:
             _print_summary(run.totals)
         if listener.errors:
             raise listener.errors[0]
+
+
+def _read_cameras(calibration: Path | None, units: str | None, up: str) -> "tuple[Camera, ...]":
+    if calibration is None:
+        hint = "Give --calibration and --camera, or --test-pattern for a simulated person."
+        problem = Problem(CALIBRATION_MISSING, "There is no calibration.", field="calibration", hint=hint)
+        raise InputError([problem])
+    return read_calibration(calibration, options.known_units(units), options.known_up(up))
+
+
+def _with_pattern(**stated: object) -> Iterator[Problem]:
+    for name, value in stated.items():
+        if value:
+            message = f"A test pattern has no {name}: its person is simulated."
+            yield Problem(VALUE_NOT_ALLOWED, message, field=name, hint=f"Omit --{name}, or --test-pattern.")
+
+
+def _execute(run: "CameraRun | PatternRun", choices: MotionChoices) -> None:
+    if isinstance(run, CameraRun):
+        capture(run, choices)
+    else:
+        run.run()
 
 
 def _existing_files(keep: Path | None, lines: Path | None) -> Iterator[Problem]:
@@ -145,13 +182,28 @@ def _stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
 
 
 def _print_summary(totals: "LiveTotals") -> None:
-    """Frames of each camera, then rate, people and latency."""
-    print_table(
-        ("camera", "frames", "detected", "dropped", "times lost"),
-        (
-            (camera.name, str(camera.decoded), str(camera.detected), str(camera.dropped), str(camera.lost))
-            for camera in totals.cameras
-        ),
-    )
+    """Frames of each camera, packets of each output, then rate, people and latency."""
+    if totals.cameras:
+        print_table(
+            ("camera", "frames", "detected", "dropped", "times lost"),
+            (
+                (camera.name, str(camera.decoded), str(camera.detected), str(camera.dropped), str(camera.lost))
+                for camera in totals.cameras
+            ),
+        )
+    if totals.outputs:
+        print_table(
+            ("output", "state", "sent", "dropped", "failed"),
+            (
+                (
+                    output.address,
+                    output.message or output.state,
+                    str(output.sent),
+                    str(output.dropped),
+                    str(output.failed),
+                )
+                for output in totals.outputs
+            ),
+        )
     p99 = totals.latencies.percentile_ms(99)
     typer.echo(summary_line(totals, f"{totals.people} people in all") + ("" if p99 is None else f", p99 {p99:.0f} ms"))

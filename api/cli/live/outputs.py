@@ -162,10 +162,12 @@ class Terminal(LiveListener):
 
     def __init__(self, status: Status) -> None:
         self._status, self._num_people = status, 0
+        self._states: dict[str, str] = {}  # Told state of each output
 
     def begin(self, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float) -> None:
         """Tell that it begins."""
-        console.print(f"{len(cameras)} cameras, {frame_rate_hz:.4g} Hz. Ctrl-C ends the capture.")
+        source = f"{len(cameras)} cameras" if cameras else "Test pattern"
+        console.print(f"{source}, {frame_rate_hz:.4g} Hz. Ctrl-C ends the capture.")
 
     def tell(self, sentence: str) -> None:
         """Print what has changed."""
@@ -176,7 +178,12 @@ class Terminal(LiveListener):
         self._num_people = len(instant.people)
 
     def tick(self, totals: LiveTotals) -> None:
-        """Show rate, people, latency and dropped frames."""
+        """Show rate, people, latency and dropped frames; print states of outputs that have changed."""
+        for output in totals.outputs:
+            state = output.message or output.state
+            if self._states.get(output.address) != state:
+                self._states[output.address] = state
+                self.tell(f"{output.address}: {state}")
         self._status.update(summary_line(totals, f"{self._num_people} people now"))
 
 

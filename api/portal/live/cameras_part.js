@@ -7,7 +7,7 @@ import { COMMON } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
 
 const TEXT = LIVE.cameras;
-const [SYNC_S, SCHEME, RECEIVER] = [10, "rtsp://", "vmc://127.0.0.1:39539"];
+const [SYNC_S, SCHEME] = [10, "rtsp://"];
 
 /** Phones of a recording as sources of cameras. */
 const phonesOf = ({ id, phones }) => phones.filter(({ is_removed: isRemoved }) => !isRemoved).map(({ number, name }) => ({ name, source: `phone://${id}/${number}` }));
@@ -19,7 +19,6 @@ export class ChosenCameras {
   profiles = []; // { name, label }
   profile = "fast";
   isMeasured = false; // true: offsets of the cameras are measured
-  outputs = "";
   problem = null;
   isNew = false; // true: these cameras are to be calibrated, and get their names here
   durationS = 20; // of the recording from which they are calibrated
@@ -80,7 +79,7 @@ export class ChosenCameras {
 
   /** Fields of the message `start_cameras`. */
   get start() {
-    return { type: "start_cameras", cameras: this.used, profile: this.profile, sync_s: this.isMeasured ? SYNC_S : null, outputs: this.outputs.split(/[\s,;]+/).filter(Boolean) };
+    return { type: "start_cameras", cameras: this.used, profile: this.profile, sync_s: this.isMeasured ? SYNC_S : null };
   }
 
   part(isLocked) {
@@ -93,7 +92,7 @@ export class ChosenCameras {
       ${this.rows.map((row, place) => this.#row(row, place, isLocked))}
       <datalist id="live-devices">${devices.map(({ device, name }) => html`<option value=${device}>${name}</option>`)}
         ${this.recordings.flatMap((recording) => phonesOf(recording).map(({ name, source }) => html`<option value=${source}>${TEXT.phoneOf(name, recording.name)}</option>`))}</datalist>
-      ${this.isNew ? this.#recordingFields(isLocked) : this.#captureFields(isLocked, allowsPrivate)}
+      ${this.isNew ? this.#recordingFields(isLocked) : this.#captureFields(isLocked)}
     </section>`;
   }
 
@@ -111,12 +110,8 @@ export class ChosenCameras {
       <label class="with">${TEXT.duration} <input class="number" type="number" min="1" max="60" step="any" .value=${typed(this.durationS)} ?disabled=${isLocked} @input=${(event) => { this.durationS = event.target.valueAsNumber; }}></label></div>`;
   }
 
-  #captureFields(isLocked, allowsPrivate) {
-    return html`<div class="pair">
-        ${selectField(TEXT.profile, this.profiles.map(({ name, label }) => [name, label]), { chosen: this.profile, choose: (name) => { this.profile = name; }, isOff: isLocked })}
-        ${allowsPrivate ? html`<label class="field"><span>${TEXT.outputs}</span><input type="text" maxlength="1000" autocomplete="off" spellcheck="false" placeholder=${RECEIVER}
-          .value=${typed(this.outputs)} ?disabled=${isLocked} @input=${(event) => { this.outputs = event.target.value; }}><span class="quiet">${TEXT.outputsHint}</span></label>` : nothing}
-      </div>
+  #captureFields(isLocked) {
+    return html`${selectField(TEXT.profile, this.profiles.map(({ name, label }) => [name, label]), { chosen: this.profile, choose: (name) => { this.profile = name; }, isOff: isLocked })}
       <label class="with"><input type="checkbox" .checked=${live(this.isMeasured)} ?disabled=${isLocked} @change=${(event) => { this.isMeasured = event.target.checked; }}> ${TEXT.measure(SYNC_S)}</label>`;
   }
 }

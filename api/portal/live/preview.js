@@ -4,7 +4,7 @@ import { html, nothing, ref, render } from "../shared/lit.js";
 import { LIVE } from "../shared/strings/live.js";
 import { unpackInstant } from "./client.js";
 import { LiveScene } from "./scene.js";
-import { cameraStates, statusFigures } from "./status.js";
+import { states, statusFigures } from "./status.js";
 
 const AGAIN_MS = 2000;
 
@@ -61,7 +61,7 @@ class PreviewView {
         ${this.#status ? statusFigures(this.#status, this.#people) : nothing}
       </section>
       ${this.#isOpen ? nothing : over}
-      ${this.#status ? cameraStates(this.#status) : nothing}
+      ${this.#status ? states(this.#status) : nothing}
     </div>`, this.#place);
   }
 }

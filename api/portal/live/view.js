@@ -13,7 +13,8 @@ import { COMMON, COUNTS } from "../shared/strings/common.js";
 import { LIVE } from "../shared/strings/live.js";
 import { SEND } from "../shared/strings/send.js";
 import { ChosenCameras } from "./cameras_part.js";
-import { cameraStates, figureList, statusFigures } from "./status.js";
+import { ChosenOutputs } from "./outputs_part.js";
+import { figureList, states, statusFigures } from "./status.js";
 
 const DRAW_MS = 250;
 const NOTICES = 8;
@@ -28,7 +29,8 @@ export function open(place) {
 
 class LiveView {
   rig = new ChosenCalibration(() => { if (!this.calibrateFrom) this.cameras.list(this.rig.record?.cameras.map(({ name }) => name) ?? []); this.draw(); });
-  cameras = new ChosenCameras(() => this.draw());
+  cameras = new ChosenCameras(() => { this.outputs.protocols = this.cameras.devices?.protocols ?? []; this.draw(); });
+  outputs = new ChosenOutputs(() => this.draw());
   source = "cameras"; // or keypoints
   stored = null; // calibrations, once they are loaded
   away = null; // why they are not
@@ -128,13 +130,25 @@ class LiveView {
         return;
       }
       const open = (start, rateHz = null) => this.#open(new LiveClient({ calibration_id: this.rig.id, keep: this.isKept, name: this.#named(), ...start }), LiveScene, rateHz);
-      if (this.hasCameras) await open(this.cameras.start);
+      if (this.hasCameras) await open({ ...this.cameras.start, outputs: this.outputs.addresses });
       else {
         const [{ openRecording }, { Playback }] = await Promise.all([import("./keypoints.js"), import("./playback.js")]);
         const recording = await openRecording(this.files, this.rig.record.cameras.map(({ name }) => name), this.frameRateHz);
         const ready = round === this.#round ? await open({ layout: recording.layout, frame_rate_hz: recording.rateHz }, recording.rateHz) : null;
         if (ready) this.#playBack(new Playback(this.#client, recording, ready.cameras));
       }
+    } catch (problem) {
+      this.#over(problem);
+    }
+  }
+
+  // Send a simulated person to the outputs.
+  async playPattern() {
+    this.problem = this.ended = null;
+    this.#go("opening");
+    try {
+      const [{ LiveClient }, { LiveScene }] = await Promise.all([import("./client.js"), import("./scene.js")]);
+      await this.#open(new LiveClient({ type: "start_test_pattern", outputs: this.outputs.addresses }), LiveScene);
     } catch (problem) {
       this.#over(problem);
     }
@@ -274,7 +288,7 @@ class LiveView {
       </section>
       ${this.#waiting()}
       ${this.notices.length ? html`<div role="log" aria-label=${LIVE.notices}><ul class="warnings">${this.notices.map((text) => html`<li>${text}</li>`)}</ul></div>` : nothing}
-      ${this.status ? cameraStates(this.status) : nothing}
+      ${this.status ? states(this.status) : nothing}
       ${this.#result()}
       ${problemBox(this.problem)}
       <div class="actions">
@@ -291,6 +305,7 @@ class LiveView {
         ${problemBox(this.rig.problem)}
       </section>
       ${this.hasCameras ? this.cameras.part(this.isBusy) : nothing}
+      ${this.hasCameras && !this.calibrateFrom ? this.outputs.part(this.isBusy, () => this.playPattern()) : nothing}
     </form>`;
   }
 

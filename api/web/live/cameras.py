@@ -24,7 +24,7 @@ from api.web.live.phones import WrongSourceError, phones_taken, require_phone
 from api.web.live.problems import failed, refused
 from api.web.live.process import CaptureProcess, camera_process
 from api.web.live.relay import Outgoing, all_or_first_error
-from api.web.live.schemas import LiveCamerasStart, LiveReady, LiveRecordStart
+from api.web.live.schemas import LiveCamerasStart, LivePatternStart, LiveReady, LiveRecordStart
 from api.web.sessions.manifest import CameraManifest
 from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
@@ -37,6 +37,13 @@ from worker.run.webhooks.sender import RefusedAddressError, resolve
 _RESOLVE_S = 10.0  # of all names of a start
 _PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443}
 _PRIVATE_HINT = "The operator allows private addresses, outputs and cameras of the machine by MULTICAP_LIVE_PRIVATE."
+
+_NO_OUTPUTS = ErrorItem(
+    code=PARAMETER_RANGE,
+    message="The service sends people to no other program.",
+    hint=_PRIVATE_HINT,
+    pointer="/outputs",
+)
 
 
 def allows_private(settings: Settings, caller: Caller) -> bool:
@@ -77,8 +84,7 @@ def read_cameras(
                 errors.append(ErrorItem(code=CAMERA_SOURCE, message=message, pointer=pointer, camera=name))
             sources.append(source)
     if isinstance(start, LiveCamerasStart) and start.outputs and not is_private:
-        message = "The service sends people to no other program."
-        errors.append(ErrorItem(code=PARAMETER_RANGE, message=message, hint=_PRIVATE_HINT, pointer="/outputs"))
+        errors.append(_NO_OUTPUTS)
     if isinstance(start, LiveRecordStart) and (start.board is None) == (not start.stature_m):
         message = "A calibration has either a board or the statures of people."
         errors.append(ErrorItem(code=MISSING_FIELD, message=message, pointer="/board"))
@@ -141,6 +147,18 @@ async def relay_cameras(connection: LiveConnection, start: LiveCamerasStart, cal
     return relay
 
 
+async def relay_pattern(connection: LiveConnection, start: LivePatternStart, folder: Path) -> Outgoing:
+    """Simulate a person until the client's ``end``; raises ``SocketProblem`` if outputs can't be opened."""
+    if start.outputs and not allows_private(connection.settings, connection.caller):
+        raise SocketProblem(LIVE_FIELDS, WRONG_FIELDS, errors=[_NO_OUTPUTS])
+    with connection.services.live_places.with_cameras():
+        async with camera_process(connection.settings.live_cameras_command, folder, []) as process:
+            await process.send(json.dumps(start.model_dump(include={"outputs", "format"})).encode())
+            relay = _CameraRelay(connection, process, start, folder)
+            await relay.run()
+    return relay
+
+
 async def record_cameras(
     connection: LiveConnection, start: LiveRecordStart, folder: Path
 ) -> dict[CameraManifest, Path]:
@@ -190,7 +208,7 @@ class _CameraRelay(Outgoing):
         self,
         connection: LiveConnection,
         process: CaptureProcess,
-        start: LiveCamerasStart | LiveRecordStart,
+        start: LiveCamerasStart | LivePatternStart | LiveRecordStart,
         folder: Path,
     ) -> None:
         super().__init__(connection, process)

@@ -11,7 +11,16 @@ from pydantic import Field, TypeAdapter, ValidationError
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
 from api.web.live.problems import too_large
-from api.web.live.schemas import POINTS, Layout, LiveCamerasStart, LiveEnd, LiveKeypoints, LiveRecordStart, LiveStart
+from api.web.live.schemas import (
+    POINTS,
+    Layout,
+    LiveCamerasStart,
+    LiveEnd,
+    LiveKeypoints,
+    LivePatternStart,
+    LiveRecordStart,
+    LiveStart,
+)
 from pipeline.core.problems import request_codes
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 
@@ -19,7 +28,7 @@ _MAX_SHOWN = 40
 _MAX_AHEAD_S = 60.0
 
 
-AnyStart = LiveStart | LiveCamerasStart | LiveRecordStart
+AnyStart = LiveStart | LiveCamerasStart | LivePatternStart | LiveRecordStart
 """First message of a client."""
 _STARTS: TypeAdapter[AnyStart] = TypeAdapter(Annotated[AnyStart, Field(discriminator="type")])
 
@@ -29,9 +38,9 @@ def read_start(text: str) -> AnyStart:
     try:
         start = _STARTS.validate_json(text)
     except ValidationError:
-        models = (LiveStart, LiveCamerasStart, LiveRecordStart)
+        models = (LiveStart, LiveCamerasStart, LivePatternStart, LiveRecordStart)
         raise wrong_message(text, models, request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
-    if isinstance(start, LiveRecordStart):
+    if isinstance(start, LivePatternStart | LiveRecordStart):
         return start
     given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
     if len(given) != 1:

@@ -19,21 +19,23 @@ from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import SocketProblem, deny, problem_message
 from api.web.live.calibrations import calibration_file, record_calibration
-from api.web.live.cameras import allows_private, relay_cameras
+from api.web.live.cameras import allows_private, relay_cameras, relay_pattern
 from api.web.live.connection import LiveConnection
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import Intake, read_start
 from api.web.live.keeping import KeptPackets, keep_session
 from api.web.live.problems import failed, is_fault, refused
 from api.web.live.process import CaptureProcess, capture_process
-from api.web.live.relay import Relay
+from api.web.live.relay import Outgoing, Relay
 from api.web.live.schemas import (
     DroppedOut,
     LiveCamerasStart,
     LiveDeviceOut,
     LiveDevicesOut,
     LiveEnded,
+    LivePatternStart,
     LiveProblemOut,
+    LiveProtocolOut,
     LiveReady,
     LiveRecordStart,
     LiveStart,
@@ -42,6 +44,7 @@ from api.web.metrics import LiveMetrics
 from api.web.sessions.receiving import spool_folder
 from pipeline.core.problems.request_codes import LIVE_MESSAGE
 from pipeline.run.live.cameras.sources import find_devices
+from pipeline.run.live.outputs.addresses import OUTPUTS
 from pipeline.run.live.packets import CaptureAnswer
 
 _log = structlog.get_logger(__name__)
@@ -112,6 +115,9 @@ async def _capture(connection: LiveConnection) -> None:
     start = await run_in_threadpool(read_start, text)
     async with spool_folder(services.settings.spool_dir) as folder:
         services.disk.require_room()
+        if isinstance(start, LivePatternStart):
+            await connection.send(_ended(await relay_pattern(connection, start, folder)))
+            return
         if isinstance(start, LiveRecordStart):
             await connection.send(await record_calibration(connection, start, folder))
             return
@@ -125,14 +131,16 @@ async def _capture(connection: LiveConnection) -> None:
         session_id = None
         if (kept := relay.kept) is not None:
             session_id = await keep_session(connection, kept, start.name, calibration, relay.cameras)
-        await connection.send(
-            LiveEnded(
-                counts=relay.counts,
-                dropped=DroppedOut(**relay.dropped._asdict()),
-                session_id=session_id,
-                kept_frames=0 if kept is None else kept.num_frames,
-            )
-        )
+        await connection.send(_ended(relay, session_id))
+
+
+def _ended(relay: Outgoing, session_id: str | None = None) -> LiveEnded:
+    return LiveEnded(
+        counts=relay.counts,
+        dropped=DroppedOut(**relay.dropped._asdict()),
+        session_id=session_id,
+        kept_frames=0 if relay.kept is None else relay.kept.num_frames,
+    )
 
 
 async def _relay_keypoints(connection: LiveConnection, start: LiveStart, calibration: Path) -> Relay:
@@ -187,12 +195,24 @@ async def _ready(
 
 @router.get("/live/devices", tags=["live"], summary="List cameras of the service's machine")
 def list_live_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOut:
-    """List the cameras of the service's machine, and say whether live captures may open them."""
+    """List the cameras of the service's machine and the protocols of outputs that live captures may use."""
     is_allowed = allows_private(services.settings, caller)
     found = find_devices() if is_allowed else {}
+    protocols = (
+        LiveProtocolOut(
+            scheme=scheme,
+            label=protocol.label,
+            port=protocol.port,
+            is_server=protocol.is_server,
+            has_people="people" in protocol.options,
+        )
+        for scheme, protocol in OUTPUTS.items()
+        if is_allowed
+    )
     return LiveDevicesOut(
         allows_private=is_allowed,
         devices=tuple(LiveDeviceOut(device=device, name=name) for device, name in found.items()),
+        protocols=tuple(protocols),
     )
 
 

@@ -84,6 +84,12 @@ class LiveStart(_Start):
         )
 
 
+Outputs = Annotated[
+    tuple[Annotated[str, Field(min_length=1, max_length=300)], ...],
+    Field(max_length=16, examples=[["vmc://192.168.0.20:39539"]]),
+]
+
+
 class LiveCameraIn(_Received):
     """Camera that the service opens."""
 
@@ -103,11 +109,18 @@ class LiveCamerasStart(_Start):
     joints: DetectedJoints = Field(default="auto", description="Joints to find.")
     sync_s: float | None = Field(default=None, ge=3.0, le=25.0, allow_inf_nan=False)
     """Length of the beginning from whose people constant offsets of the cameras' clocks are found."""
-    outputs: tuple[Annotated[str, Field(min_length=1, max_length=300)], ...] = Field(
-        default=(), max_length=16, examples=[["vmc://192.168.0.20:39539"]]
-    )
+    outputs: Outputs = ()
     """Addresses of programs that get the people, as the service's machine reaches them. The protocols have neither keys
     nor encryption."""
+
+
+class LivePatternStart(_Received):
+    """First message of a client that sets up receivers: a simulated person moves, without cameras."""
+
+    type: Literal["start_test_pattern"]
+    outputs: Outputs = ()
+    """Addresses of programs that get the person, as in `start_cameras`."""
+    format: Literal["json", "packed"] = Field(default="json", description="Form of the instants that are sent back.")
 
 
 class LiveRecordStart(TakeCalibrationSpec):
@@ -269,13 +282,24 @@ class LiveDeviceOut(_Sent):
     name: str = Field(description="Name that the camera states.", examples=["HD Webcam"])
 
 
+class LiveProtocolOut(_Sent):
+    """Protocol of outputs."""
+
+    scheme: str = Field(description="Scheme of its addresses.", examples=["vmc"])
+    label: str = Field(description="Name of the protocol.", examples=["VMC"])
+    port: int | None = Field(description="Usual port; null: an address has a name in the place of host and port.")
+    is_server: bool = Field(description="True if it listens at its address, and receivers connect.")
+    has_people: bool = Field(description="True if an address states a number of people, as `?people=2`.")
+
+
 class LiveDevicesOut(_Sent):
-    """Cameras that live captures may open."""
+    """Cameras that live captures may open, and protocols by which they may send people."""
 
     allows_private: bool
     """True if cameras of the service's machine and addresses of private networks may be opened; public addresses may
     be."""
     devices: tuple[LiveDeviceOut, ...] = Field(description="Cameras of the machine; none unless they may be opened.")
+    protocols: tuple[LiveProtocolOut, ...] = Field(description="Protocols of outputs; none unless they may be used.")
 
 
 class LiveCountsOut(_Sent):
@@ -311,7 +335,14 @@ class LiveProblemOut(SocketProblemOut):
     close_code: int = Field(description="Code with which the connection is closed.", examples=[1011])
 
 
-RECEIVED: tuple[type[BaseModel], ...] = (LiveStart, LiveCamerasStart, LiveRecordStart, LiveKeypoints, LiveEnd)
+RECEIVED: tuple[type[BaseModel], ...] = (
+    LiveStart,
+    LiveCamerasStart,
+    LivePatternStart,
+    LiveRecordStart,
+    LiveKeypoints,
+    LiveEnd,
+)
 """Messages of clients."""
 SENT: tuple[type[BaseModel], ...] = (
     LiveReady,
@@ -328,7 +359,8 @@ SENT: tuple[type[BaseModel], ...] = (
 _DESCRIPTION = """\
 A live capture for as long as the WebSocket is open. The client sends `start`, then keypoints of each camera's frames,
 and `end`. The service answers `ready`, then instants with people, and `ended`; a `problem` ends the capture early.
-With `start_cameras` the service opens the cameras itself, and sends `status` and `notice` too. With `record_cameras`
+With `start_cameras` the service opens the cameras itself, and sends `status` and `notice` too; with
+`start_test_pattern` it simulates a person. With `record_cameras`
 it records them for a moment, makes a calibration of them, and sends `recorded`.
 Keypoints and instants may be packed, as messages of bytes. Pages of allowed origins, whose browsers send no headers,
 offer the subprotocols `multicap.live` and `mc.key.` with a key behind it. `/help/live-protocol` describes both forms,

@@ -27,8 +27,8 @@ _SHORTEST_S = 0.1
 _KNUCKLES_M = (0.03, 0.20)
 # Time from the last frame in which a hand was seen until it rests.
 _REST_AFTER_S = 0.5
-KNUCKLES = (5, 9, 13, 17)
-"""Landmarks of the knuckles of index, middle, ring and little finger; landmark 0 is the wrist."""
+# Landmarks of the knuckles of index, middle, ring and little finger; landmark 0 is the wrist.
+_KNUCKLES = (5, 9, 13, 17)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +49,7 @@ def seen_well(
 
     ``fingers_m`` are located joints, ``measured`` where two cameras saw them.
     """
-    knuckles = np.array(KNUCKLES) - 1
+    knuckles = np.array(_KNUCKLES) - 1
     enough = (measured.sum(1) >= _FEWEST_JOINTS) & (measured[:, knuckles].sum(1) >= _FEWEST_KNUCKLES)
     reach_m = np.linalg.norm(fingers_m[:, knuckles] - wrist_m[:, None], axis=-1)
     reach_m = np.where(measured[:, knuckles] & enough[:, None], reach_m, np.nan)
@@ -81,7 +81,7 @@ def start_pose(
         return HandPose(rest, np.tile(anatomy.natural_rad(), (len(is_seen), 1)))
     fingers = [finger for name, finger in anatomy.hand_fingers(side).items() if name != "thumb"]
     palm_m = np.array([bone_length_m[finger.joints[0]] * finger.directions[0] for finger in fingers])
-    from_wrist_m = points_m[:, KNUCKLES] - points_m[:, :1]
+    from_wrist_m = points_m[:, _KNUCKLES] - points_m[:, :1]
     world_from_hand = align(np.broadcast_to(palm_m, from_wrist_m.shape), from_wrist_m)
     turned = filled(world_from_forearm.inv() * world_from_hand, is_seen)
     in_hand_m = np.einsum("fba,flb->fla", world_from_hand.as_matrix(), points_m - points_m[:, :1])

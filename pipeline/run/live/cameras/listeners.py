@@ -1,5 +1,6 @@
 """Listeners of live captures from cameras that the command line and the service share, and the run of both."""
 
+import threading
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
@@ -18,6 +19,7 @@ from pipeline.motion.skeleton.model import SKELETON
 from pipeline.run.live.cameras.detector_pool import DetectorPool, start_detecting
 from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.totals import CameraTotals, LiveTotals
+from pipeline.run.live.outputs import pattern
 from pipeline.run.live.outputs.runner import LiveOutputs
 from pipeline.run.live.packing import described_camera
 from pipeline.run.live.records import LiveInstant
@@ -91,6 +93,33 @@ class StatusFigures:
             "dropped": camera.dropped,
             "lost": camera.lost,
         }
+
+
+class PatternRun:
+    """Live capture of the test pattern: a simulated person in place of cameras."""
+
+    def __init__(self, listener: LiveListener) -> None:
+        self._listener, self._stopped = listener, threading.Event()
+        self.totals = LiveTotals([], frame_rate_hz=pattern.RATE_HZ)
+
+    def stop(self) -> None:
+        """End the capture soon."""
+        self._stopped.set()
+
+    def run(self) -> None:
+        """Run until ``stop``."""
+        self._listener.begin([], pattern.LAYOUT.joints, pattern.RATE_HZ)
+        self.totals.people = 1
+        pattern.play_pattern(self._show, self._tick, self._stopped)
+
+    def _show(self, instant: LiveInstant) -> None:
+        self.totals.instants += 1
+        self.totals.latencies.add(0.0)
+        self._listener.show(instant, 0.0)
+
+    def _tick(self, time_s: float) -> None:
+        self.totals.duration_s = time_s
+        self._listener.tick(self.totals)
 
 
 class OutputListener(LiveListener):

@@ -3,15 +3,17 @@
 Messages go over stdin and stdout as ``pipeline.run.live.packets`` says. The start is an object with ``calibration``,
 the path of a file in metres, Z up; ``sources``, the fields of a ``CameraSource`` each; ``choices`` of the networks;
 ``sync_s``; addresses of ``outputs``; ``format`` of the instants; and ``keep``, with which the file gets the cameras of
-the keypoints. The capture ends when stdin is closed.
+the keypoints. Without ``sources`` a simulated person is captured, and ``outputs`` and ``format`` suffice. The capture
+ends when stdin is closed.
 """
 
 import json
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,7 +27,7 @@ from pipeline.core.joints import BODY_FEET, COCO_17, COCO_18, JointSet
 from pipeline.core.layouts import LAYOUTS, KeypointLayout
 from pipeline.core.options.config import MotionChoices
 from pipeline.motion.skeleton.model import SKELETON
-from pipeline.run.live.cameras.listeners import OutputListener, StatusFigures, capture, ready_document
+from pipeline.run.live.cameras.listeners import OutputListener, PatternRun, StatusFigures, capture, ready_document
 from pipeline.run.live.cameras.run import CameraRun, LiveListener
 from pipeline.run.live.cameras.sources import CameraSource
 from pipeline.run.live.cameras.totals import LiveTotals
@@ -107,7 +109,7 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
     if (content := read_message(incoming)) is None:
         return 0
     start = json.loads(content)
-    kept = Path(start["calibration"]) if start["keep"] else None
+    kept = Path(start["calibration"]) if start.get("keep") else None
     answers = _Answers(outgoing, start["format"] == "packed", kept)
     try:
         _capture(start, answers, incoming)
@@ -121,20 +123,29 @@ def run(incoming: BinaryIO, outgoing: BinaryIO) -> int:
 
 
 def _capture(start: dict[str, Any], answers: _Answers, incoming: BinaryIO) -> None:
-    choices = MotionChoices(**start["choices"])
-    sources = [CameraSource(**source) for source in start["sources"]]
-    cameras = {camera.name: camera for camera in read_calibration(Path(start["calibration"]))}
     with LiveOutputs(start["outputs"], allow_network=True) as outputs:
-        found = CameraRun([cameras[source.camera] for source in sources], sources, choices, answers, start["sync_s"])
-        answers.outputs = OutputListener(outputs, found.totals)
+        capture, execute = _prepared(start, answers)
+        answers.outputs = OutputListener(outputs, capture.totals)
 
         def stop_at_end() -> None:
             read_message(incoming)
-            found.stop()
+            capture.stop()
 
         threading.Thread(target=stop_at_end, daemon=True).start()
-        capture(found, choices)
-        answers.end(found.totals)
+        execute()
+        answers.end(capture.totals)
+
+
+def _prepared(start: dict[str, Any], answers: _Answers) -> tuple[CameraRun | PatternRun, Callable[[], None]]:
+    """Capture of the cameras, or of a simulated person, and the function that runs it."""
+    if "sources" not in start:
+        pattern = PatternRun(answers)
+        return pattern, pattern.run
+    choices = MotionChoices(**start["choices"])
+    sources = [CameraSource(**source) for source in start["sources"]]
+    cameras = {camera.name: camera for camera in read_calibration(Path(start["calibration"]))}
+    filmed = CameraRun([cameras[source.camera] for source in sources], sources, choices, answers, start["sync_s"])
+    return filmed, partial(capture, filmed, choices)
 
 
 def main() -> int:

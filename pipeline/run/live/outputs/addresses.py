@@ -88,7 +88,7 @@ def _read(text: str, allow_network: bool) -> OutputAddress:
     scheme, sign, rest = text.partition("://")
     scheme = scheme.lower()
     if not sign or scheme not in OUTPUTS:
-        usual = ", ".join(map(_example, OUTPUTS))
+        usual = ", ".join(map(example, OUTPUTS))
         raise InputError([_problem(f"{text!r:.80} is no address of an output.", f"Write {usual}.")])
     protocol = OUTPUTS[scheme]
     try:
@@ -103,7 +103,7 @@ def _read(text: str, allow_network: bool) -> OutputAddress:
         port = protocol.port
     is_wrong = port < (0 if protocol.is_server or protocol.port is None else 1) or not (host or protocol.is_server)
     if is_wrong:
-        raise InputError([_problem(f"{text!r:.80} has no right host and port.", f"Write {_example(scheme)}.")])
+        raise InputError([_problem(f"{text!r:.80} has no right host and port.", f"Write {example(scheme)}.")])
     require(_wrong_options(protocol, options))
     if protocol.port is None:
         return OutputAddress(scheme, host, port, options)
@@ -126,7 +126,8 @@ def _wrong_options(protocol: OutputProtocol, options: Mapping[str, str]) -> Iter
             yield _problem(f"{name} of an output is {first} to {last}, not {value!r:.40}.")
 
 
-def _example(scheme: str) -> str:
+def example(scheme: str) -> str:
+    """Form of the addresses of a protocol."""
     protocol = OUTPUTS[scheme]
     if protocol.port is None:
         return f"{scheme}://NAME"

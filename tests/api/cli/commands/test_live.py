@@ -3,6 +3,7 @@
 import json
 import signal
 import socket
+import threading
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,38 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
         ("output_exists", "lines"),
     ]
     assert str(tmp_path) not in result.stdout
+
+
+def test_pattern_needs_no_calibration_and_takes_none(tmp_path: Path) -> None:
+    rig = calibration(tmp_path / "rig.json", ["a", "b"])
+    result = runner.invoke(app, ["live", "--test-pattern", f"--calibration={rig}", "--output=vmc://far:0", "--json"])
+    assert [problem["field"] for problem in json.loads(result.stdout)["problems"]] == ["output", "calibration"]
+    result = runner.invoke(app, ["live", "--json"])
+    assert [problem["code"] for problem in json.loads(result.stdout)["problems"]] == ["calibration_missing"]
+
+
+def test_pattern_reaches_receiver_until_interrupted(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(60)
+
+        def interrupt() -> None:
+            receiver.recv(65_536)
+            receiver.recv(65_536)
+            signal.raise_signal(signal.SIGINT)
+
+        interrupting = threading.Thread(target=interrupt)
+        interrupting.start()
+        address = f"osc://127.0.0.1:{receiver.getsockname()[1]}?people=1"
+        result = runner.invoke(app, ["live", "--test-pattern", f"--output={address}", "--json"])
+        interrupting.join()
+    assert result.exit_code == 0, result.output
+    ready, *instants, ended = [json.loads(line) for line in result.stdout.splitlines()]
+    assert (ready["cameras"], ready["frame_rate_hz"]) == ([], 60.0)
+    assert len([line for line in instants if line["type"] == "instant"]) == ended["instants"] > 0
+    (output,) = ended["outputs"]
+    assert (output["address"], output["state"]) == (address, "sending")
+    assert output["sent"] >= 2
 
 
 def test_wrong_calibration_and_profile_are_sentences(tmp_path: Path) -> None:
