@@ -36,8 +36,8 @@ from pipeline.core.errors import UnusableError
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
 from pipeline.core.runtime.confinement import ChildLimits, confine, tell_ready
-from pipeline.run.live.cameras.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.cameras.sources import SourceKind
+from pipeline.run.live.clocks import ArrivalClock, CaptureClock, LateFrames, PlaybackClock, StreamClock
 from pipeline.run.live.packets import PhonePicture
 from pipeline.video.container import CODECS, DECODE_ERRORS, display_pts, first_video, open_container
 from pipeline.video.decode_process import rgb_converter, write_rows

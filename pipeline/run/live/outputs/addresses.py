@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from types import MappingProxyType
 from urllib.parse import parse_qsl, urlsplit
 
@@ -26,6 +27,7 @@ class OutputProtocol:
     port: int | None = None  # Usual port; ``None``: the address has the name of a stream in the place of host and port
     is_server: bool = False  # True: it listens at its address, and receivers connect
     options: Mapping[str, Sequence[str]] = field(default_factory=dict)  # Values that parameters of the address may have
+    package: str | None = None  # Package that is not always installed; the scheme is the extra that installs it
 
 
 _PEOPLE = tuple(map(str, range(1, _MAX_PEOPLE + 1)))
@@ -41,6 +43,9 @@ OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
         "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, is_server=True),
         "mvn": OutputProtocol("Xsens MVN", "pipeline.run.live.outputs.mvn:MvnOutput", 9763),
         "rokoko": OutputProtocol("Rokoko", "pipeline.run.live.outputs.rokoko:RokokoOutput", 14043),
+        "lsl": OutputProtocol(
+            "LSL", "pipeline.run.live.outputs.lsl:LslOutput", options={"people": _PEOPLE}, package="pylsl"
+        ),
     }
 )
 """Protocol of outputs by the scheme of their addresses."""
@@ -64,11 +69,10 @@ class OutputAddress:
     @property
     def text(self) -> str:
         """Address as people write it."""
-        if self.protocol.port is None:
-            return f"{self.scheme}://{self.host}"
-        host = f"[{self.host}]" if ":" in self.host else self.host
+        place = f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
         options = "&".join(f"{name}={value}" for name, value in self.options.items())
-        return f"{self.scheme}://{host}:{self.port}" + (f"?{options}" if options else "")
+        text = f"{self.scheme}://{self.host if self.protocol.port is None else place}"
+        return f"{text}?{options}" if options else text
 
 
 def read_outputs(texts: Sequence[str], allow_network: bool) -> list[OutputAddress]:
@@ -98,21 +102,24 @@ def _read(text: str, allow_network: bool) -> OutputAddress:
     except ValueError:
         host, port, options = "", -1, {}
     if protocol.port is None:
-        host, port = rest, 0
+        host, port = rest.partition("?")[0], 0
     elif port is None:
         port = protocol.port
     is_wrong = port < (0 if protocol.is_server or protocol.port is None else 1) or not (host or protocol.is_server)
     if is_wrong:
         raise InputError([_problem(f"{text!r:.80} has no right host and port.", f"Write {example(scheme)}.")])
     require(_wrong_options(protocol, options))
-    if protocol.port is None:
-        return OutputAddress(scheme, host, port, options)
-    resolved = _resolved(host or _LOOPBACK)
-    is_network = not ipaddress.ip_address(resolved.partition("%")[0]).is_loopback
+    if protocol.package is not None and find_spec(protocol.package) is None:
+        hint = f"Run pip install 'multicap[{scheme}]'."
+        raise InputError([_problem(f"{protocol.label} needs the package {protocol.package}.", hint)])
+    resolved = host if protocol.port is None else _resolved(host or _LOOPBACK)
+    is_network = protocol.port is None or not ipaddress.ip_address(resolved.partition("%")[0]).is_loopback
     if is_network and not allow_network:
-        reach = "accepts other machines" if protocol.is_server else "is on another machine"
+        accepts = protocol.is_server or protocol.port is None
+        reach = "accepts other machines" if accepts else "is on another machine"
         message = f"{text!r:.80} {reach}, and {protocol.label} has neither keys nor encryption."
-        raise InputError([_problem(message, f"Use {_LOOPBACK}, or allow the network.")])
+        hint = "Allow the network." if protocol.port is None else f"Use {_LOOPBACK}, or allow the network."
+        raise InputError([_problem(message, hint)])
     return OutputAddress(scheme, resolved, port, options, is_network)
 
 

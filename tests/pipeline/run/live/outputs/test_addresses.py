@@ -1,5 +1,7 @@
 """Addresses of outputs: all that is wrong comes at once, other machines on request only."""
 
+from importlib.util import find_spec
+
 import pytest
 
 from pipeline.core.errors import InputError
@@ -41,3 +43,15 @@ def test_wrong_addresses_all_problems_at_once() -> None:
 def test_other_machines_are_allowed_on_request() -> None:
     (address,) = read_outputs(["vmc://192.0.2.7"], allow_network=True)
     assert address.is_network
+
+
+def test_name_of_stream_reaches_network() -> None:
+    """LSL listens at all addresses of the machine: it is allowed on request, where its package is installed."""
+    with pytest.raises(InputError) as refused:
+        read_outputs(["lsl://stage left?people=2"], allow_network=False)
+    if find_spec("pylsl") is None:
+        assert [problem.message for problem in refused.value.problems] == ["LSL needs the package pylsl."]
+        return
+    assert [problem.hint for problem in refused.value.problems] == ["Allow the network."]
+    (address,) = read_outputs(["lsl://stage left?people=2"], allow_network=True)
+    assert (address.host, address.is_network, address.text) == ("stage left", True, "lsl://stage left?people=2")

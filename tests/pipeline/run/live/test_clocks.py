@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.run.live.cameras.clocks import LateFrames, PlaybackClock, StreamClock
+from pipeline.run.live.clocks import LateFrames, PlaybackClock, StreamClock
 
 
 def test_jitter_of_arrival_moves_no_frame() -> None:
