@@ -2,12 +2,16 @@
 
 import socket
 import struct
-from collections.abc import Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pythonosc.osc_message_builder import OscMessageBuilder
+
+from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.records import LiveInstant
 
 _FLOAT_BYTES = 4
 _SIZE = struct.Struct(">i")
@@ -54,6 +58,34 @@ class DatagramSender:
         if last_error is not None and not num_sent:
             raise last_error
         return num_sent
+
+
+class DatagramOutput(ABC):
+    """Output whose packets go to one or more ports of a machine; see ``LiveOutput``."""
+
+    def __init__(self, start: OutputStart, num_ports: int = 1) -> None:
+        self._address = start.address
+        self._ports = range(start.address.port, start.address.port + num_ports)
+        self._sender = DatagramSender(start.address.host, self._ports)
+
+    def __enter__(self) -> Self:
+        self._sender.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._sender.__exit__(*error)
+
+    def ready(self) -> str:
+        """See ``LiveOutput``."""
+        return self._address.text
+
+    def send(self, instant: LiveInstant) -> int:
+        """Send the people of an instant; see ``LiveOutput``."""
+        return self._sender.send(self.packets(instant))
+
+    @abstractmethod
+    def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+        """Ports and packets of an instant."""
 
 
 class OscTemplate:

@@ -10,13 +10,12 @@ Poses and time codes go at every instant; names and rest poses every second, bec
 
 import struct
 from collections.abc import Iterator
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.motion.skeleton.model import INDEX, SKELETON
-from pipeline.run.live.outputs.datagrams import DatagramSender
+from pipeline.run.live.outputs.datagrams import DatagramOutput
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.poses import (
     FACING_X,
@@ -86,32 +85,18 @@ def _text(text: str) -> bytes:
     return struct.pack(">I", len(text.encode())) + text.encode()
 
 
-class MvnOutput:
+class MvnOutput(DatagramOutput):
     """Output of the network stream of MVN; see ``LiveOutput``."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._address, self._rate_hz = start.address, start.rate_hz
-        self._sender = DatagramSender(start.address.host, [start.address.port])
+        super().__init__(start)
+        self._rate_hz = start.rate_hz
         self._slots = PersonSlots(_MAX_CHARACTERS)
         self._first_s: float | None = None
         self._told: dict[int, tuple[int, float]] = {}  # Person of a character, and time of the last name and rest pose
 
-    def __enter__(self) -> Self:
-        self._sender.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._sender.__exit__(*error)
-
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._address.text
-
-    def send(self, instant: LiveInstant) -> int:
-        """Send the people of an instant; see ``LiveOutput``."""
-        return self._sender.send((self._address.port, datagram) for datagram in self._datagrams(instant))
-
-    def _datagrams(self, instant: LiveInstant) -> Iterator[bytes]:
+    def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+        """See ``DatagramOutput``."""
         time_s = instant.time_s
         self._first_s = time_s if self._first_s is None else self._first_s
         elapsed_s = time_s - self._first_s
@@ -129,7 +114,7 @@ class MvnOutput:
             counts = len(_BODY), 0, len(segments) - len(_BODY), 0
             for kind, counter, content in self._contents(number, person, skeleton, rotation, time_s):
                 head = f"MXTP{kind:02}".encode(), sample & 0xFFFF_FFFF, counter, len(segments), elapsed_ms & 0xFFFF_FFFF
-                yield _HEADER.pack(*head, number, *counts, len(content)) + content
+                yield self._address.port, _HEADER.pack(*head, number, *counts, len(content)) + content
 
     def _contents(
         self, number: int, person: LivePerson, skeleton: LiveSkeleton, rotation: np.ndarray, time_s: float

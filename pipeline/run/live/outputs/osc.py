@@ -7,11 +7,10 @@ right-handed: (x, z, -y).
 """
 
 from collections.abc import Iterator
-from typing import Self
 
 import numpy as np
 
-from pipeline.run.live.outputs.datagrams import DatagramSender, OscTemplate
+from pipeline.run.live.outputs.datagrams import DatagramOutput, OscTemplate
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson
@@ -19,11 +18,12 @@ from pipeline.run.live.records import LiveInstant, LivePerson
 _NUM_PEOPLE = "4"
 
 
-class OscOutput:
+class OscOutput(DatagramOutput):
     """Output of plain OSC; see ``LiveOutput``."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._address, options = start.address, start.address.options
+        super().__init__(start)
+        options = start.address.options
         num_people = int(options.get("people", _NUM_PEOPLE))
         self._is_y_up = options.get("up") == "y"
         self._slots = PersonSlots(num_people)
@@ -37,30 +37,15 @@ class OscOutput:
             )
             for number in range(1, num_people + 1)
         ]
-        self._sender = DatagramSender(start.address.host, [start.address.port])
 
-    def __enter__(self) -> Self:
-        self._sender.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._sender.__exit__(*error)
-
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._address.text
-
-    def send(self, instant: LiveInstant) -> int:
-        """Send the people of an instant; see ``LiveOutput``."""
-        return self._sender.send((self._address.port, packet) for packet in self._packets(instant))
-
-    def _packets(self, instant: LiveInstant) -> Iterator[bytes]:
+    def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+        """See ``DatagramOutput``."""
         in_sight = {person.id for person in instant.people}
         for template, person in zip(self._templates, self._slots.update(instant), strict=True):
-            if person is None or person.id not in in_sight:
-                yield template.packet([0.0], [0])
-            else:
-                yield self._packet(template, person)
+            packet = template.packet([0.0], [0])
+            if person is not None and person.id in in_sight:
+                packet = self._packet(template, person)
+            yield self._address.port, packet
 
     def _packet(self, template: OscTemplate, person: LivePerson) -> bytes:
         xyz_m = person.xyz_m[:, [0, 2, 1]] * (1.0, 1.0, -1.0) if self._is_y_up else person.xyz_m

@@ -123,18 +123,16 @@ class _Receiver(asyncio.Protocol):
 
     def _command(self, content: bytes) -> None:
         name, *words = content.rstrip(b"\0").decode("ascii", "replace").lower().split() or [""]
-        command = _COMMANDS.get(name)
-        if command is None:
-            self._send(_ERROR, "Parse error")
+        if name in _COMMANDS:
+            _COMMANDS[name](self, words)
         else:
-            command(self, words)
+            self._send(*_ANSWERS.get(name, (_ERROR, "Parse error")))
 
     def _send(self, kind: int, content: bytes | str) -> None:
         if not self._transport.is_closing():
             self._transport.write(packet(kind, content))
 
     def set_version(self, words: Sequence[str]) -> None:
-        """Command ``Version``."""
         if not words:
             self._send(_COMMAND, f"Version is 1.{self._version}")
         elif words[0] in {f"1.{minor}" for minor in _VERSIONS}:
@@ -144,7 +142,6 @@ class _Receiver(asyncio.Protocol):
             self._send(_ERROR, f"Version must be 1.{_VERSIONS[0]} to 1.{_VERSIONS[-1]}")
 
     def get_parameters(self, words: Sequence[str]) -> None:
-        """Command ``GetParameters``."""
         parameters = self._server.parameters
         try:
             text, lists = parameters.read(words, self._version)
@@ -155,7 +152,6 @@ class _Receiver(asyncio.Protocol):
         self._send(_XML, text)
 
     def get_frame(self, words: Sequence[str]) -> None:
-        """Command ``GetCurrentFrame``."""
         components, latest = read_components(words), self._server.latest
         if components is None:
             self._send(_ERROR, "Parse error")
@@ -165,7 +161,6 @@ class _Receiver(asyncio.Protocol):
             self._send(_DATA, self._frame(components, latest))
 
     def stream_frames(self, words: Sequence[str]) -> None:
-        """Command ``StreamFrames``."""
         self._stream = None
         if list(words) == ["stop"]:
             return
@@ -181,22 +176,6 @@ class _Receiver(asyncio.Protocol):
                 self._send(_NO_MORE_DATA, b"")
             else:
                 self.show(latest, is_first=True)
-
-    def get_state(self, _: Sequence[str]) -> None:
-        """Command ``GetState``."""
-        self._send(_EVENT, _CONNECTED)
-
-    def get_byte_order(self, _: Sequence[str]) -> None:
-        """Command ``ByteOrder``."""
-        self._send(_COMMAND, "Byte order is little endian")
-
-    def get_qtm_version(self, _: Sequence[str]) -> None:
-        """Command ``QTMVersion``."""
-        self._send(_COMMAND, f"Multicap {importlib.metadata.version('multicap')}")
-
-    def release_control(self, _: Sequence[str]) -> None:
-        """Command ``ReleaseControl``: no receiver has control."""
-        self._send(_COMMAND, "You are already a regular client")
 
     def tell_people(self) -> None:
         """Send an event if there are others than the receiver knows."""
@@ -232,14 +211,20 @@ class _Receiver(asyncio.Protocol):
 _COMMANDS: Mapping[str, Callable[[_Receiver, Sequence[str]], None]] = MappingProxyType(
     {
         "version": _Receiver.set_version,
-        "qtmversion": _Receiver.get_qtm_version,
-        "byteorder": _Receiver.get_byte_order,
-        "getstate": _Receiver.get_state,
-        "getlastevent": _Receiver.get_state,
         "getparameters": _Receiver.get_parameters,
         "getcurrentframe": _Receiver.get_frame,
         "streamframes": _Receiver.stream_frames,
-        "releasecontrol": _Receiver.release_control,
+    }
+)
+
+
+_ANSWERS: Mapping[str, tuple[int, bytes | str]] = MappingProxyType(
+    {
+        "qtmversion": (_COMMAND, f"Multicap {importlib.metadata.version('multicap')}"),
+        "byteorder": (_COMMAND, "Byte order is little endian"),
+        "getstate": (_EVENT, _CONNECTED),
+        "getlastevent": (_EVENT, _CONNECTED),
+        "releasecontrol": (_COMMAND, "You are already a regular client"),
     }
 )
 

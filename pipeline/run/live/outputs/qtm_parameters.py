@@ -49,11 +49,17 @@ class Roster:
         return is_changed
 
 
+_ACTIONS = (
+    *("PreProcessing2D", "TwinSystemMerge", "SplineFill", "AIM", "Track6DOF", "ForceData", "GazeVector"),
+    *("EyeTracker", "SkeletonSolve", "ExportTSV", "ExportC3D", "ExportMatlabFile", "ExportAviFile"),
+)
+
+
 def _general(rate_hz: float, *_: object) -> Element:
     # Elements that clients demand; actions of processing, triggers and external clocks do not exist here.
     root = Element("General")
     _add(root, Frequency=round(rate_hz), Capture_Time="0.0", Start_On_External_Trigger="False")
-    _add(root, Start_On_Trigger_NO="False", Start_On_Trigger_NC="False", Start_On_Trigger_Software="False")
+    _add(root, **dict.fromkeys(("Start_On_Trigger_NO", "Start_On_Trigger_NC", "Start_On_Trigger_Software"), "False"))
     _add(
         SubElement(root, "External_Time_Base"),
         Enabled="False",
@@ -68,11 +74,7 @@ def _general(rate_hz: float, *_: object) -> Element:
         Non_Periodic_Timeout="0.0",
     )
     for name in ("Processing_Actions", "RealTime_Processing_Actions", "Reprocessing_Actions"):
-        actions = SubElement(root, name)
-        _add(actions, PreProcessing2D="False", Tracking="3D", TwinSystemMerge="False", SplineFill="False", AIM="True")
-        _add(actions, Track6DOF="False", ForceData="False", GazeVector="False", EyeTracker="False")
-        _add(actions, SkeletonSolve="True", ExportTSV="False", ExportC3D="False", ExportMatlabFile="False")
-        _add(actions, ExportAviFile="False")
+        _add(SubElement(root, name), Tracking="3D", **dict.fromkeys(_ACTIONS, "False"))
     return root
 
 

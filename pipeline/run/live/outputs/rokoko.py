@@ -6,16 +6,15 @@ receiver for Unity needs; the receiver for Unreal Engine takes frames of 32,768 
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from typing import Self
 
 import lz4.frame
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.motion.skeleton.model import INDEX, SKELETON
-from pipeline.run.live.outputs.datagrams import DatagramSender
+from pipeline.run.live.outputs.datagrams import DatagramOutput
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.poses import person_colour, person_name, product, rest_joints_m, world_rotations
 from pipeline.run.live.outputs.vmc import unity_position, unity_rotation
@@ -79,32 +78,19 @@ def rokoko_frame(people: Sequence[tuple[LivePerson, LiveSkeleton]], time_s: floa
     return lz4.frame.compress(f'{{"version":3.0,"fps":{rate_hz:g},"scene":{scene}}}'.encode())
 
 
-class RokokoOutput:
+class RokokoOutput(DatagramOutput):
     """Output of the JSON stream of Rokoko; see ``LiveOutput``."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._address, self._rate_hz = start.address, start.rate_hz
-        self._sender = DatagramSender(start.address.host, [start.address.port])
+        super().__init__(start)
+        self._rate_hz = start.rate_hz
         self._first_s: float | None = None
         self._has_people = False  # In the last frame
 
-    def __enter__(self) -> Self:
-        self._sender.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._sender.__exit__(*error)
-
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._address.text
-
-    def send(self, instant: LiveInstant) -> int:
-        """Send the people of an instant; see ``LiveOutput``. A frame without people follows the last one with them."""
+    def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+        """See ``DatagramOutput``. A frame without people follows the last one with them."""
         people = [(person, person.skeleton) for person in instant.people if person.skeleton is not None]
-        if not people and not self._has_people:
-            return 0
-        self._first_s = instant.time_s if self._first_s is None else self._first_s
-        self._has_people = bool(people)
-        frame = rokoko_frame(people, instant.time_s - self._first_s, self._rate_hz)
-        return self._sender.send([(self._address.port, frame)])
+        if people or self._has_people:
+            self._first_s = instant.time_s if self._first_s is None else self._first_s
+            self._has_people = bool(people)
+            yield self._address.port, rokoko_frame(people, instant.time_s - self._first_s, self._rate_hz)

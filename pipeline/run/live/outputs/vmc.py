@@ -11,14 +11,13 @@ A receiver shows one person: ``people=3`` in the address sends three people to t
 
 from collections.abc import Iterator
 from functools import cache
-from typing import Self
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
 from pipeline.motion.skeleton.model import find_skeleton, rest_offsets_m
-from pipeline.run.live.outputs.datagrams import DatagramSender, OscTemplate
+from pipeline.run.live.outputs.datagrams import DatagramOutput, OscTemplate
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
@@ -76,33 +75,17 @@ def vmc_packet(person: LivePerson, time_s: float) -> bytes:
     return template.packet([time_s, *_AT_ORIGIN, *np.hstack([positions_m, rotations]).ravel()])
 
 
-class VmcOutput:
+class VmcOutput(DatagramOutput):
     """Output of VMC, a port a person; see ``LiveOutput``."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._address = start.address
         first = int(start.address.options.get("person", 1))
         num_people = int(start.address.options.get("people", 1))
+        super().__init__(start, num_people)
         self._slots, self._shown = PersonSlots(first - 1 + num_people), slice(first - 1, None)
-        self._ports = range(start.address.port, start.address.port + num_people)
-        self._sender = DatagramSender(start.address.host, self._ports)
 
-    def __enter__(self) -> Self:
-        self._sender.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._sender.__exit__(*error)
-
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._address.text
-
-    def send(self, instant: LiveInstant) -> int:
-        """Send the people of an instant; see ``LiveOutput``."""
-        return self._sender.send(self._packets(instant))
-
-    def _packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+    def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
+        """See ``DatagramOutput``."""
         people = self._slots.update(instant)[self._shown]
         for port, person in zip(self._ports, people, strict=True):
             if person is not None:
