@@ -10,7 +10,6 @@ A receiver that reads too slowly misses frames: what waits for it is bounded, an
 
 import asyncio
 import importlib.metadata
-import math
 import socket
 import struct
 import threading
@@ -57,7 +56,6 @@ class _Receiver(asyncio.Protocol):
         self._version = 1
         self._stream: FrameRequest | None = None
         self._listed: dict[str, tuple[int, ...]] = {}  # People that the receiver knows, by parameter
-        self._next_s = 0.0  # Time of the next frame of a stream with a frequency
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = transport = cast(asyncio.Transport, transport)
@@ -148,7 +146,7 @@ class _Receiver(asyncio.Protocol):
         except ParameterError as error:
             self._send(_ERROR, str(error))
             return
-        self._listed |= dict.fromkeys(lists, tuple(parameters.roster.skeletons))
+        self._listed |= dict.fromkeys(lists, tuple(parameters.skeletons))
         self._send(_XML, text)
 
     def get_frame(self, words: Sequence[str]) -> None:
@@ -164,13 +162,13 @@ class _Receiver(asyncio.Protocol):
         self._stream = None
         if list(words) == ["stop"]:
             return
-        stream, latest = FrameRequest.read(words), self._server.latest
+        stream, latest = FrameRequest.read(words, self._server.rate_hz), self._server.latest
         if stream is None:
             self._send(_ERROR, "Parse error")
         elif stream.udp_host not in {None, self._host}:
             self._send(_ERROR, "Frames are sent to the address of the connection only")
         else:
-            self._stream, self._next_s = stream, -math.inf
+            self._stream = stream
             # Clients wait for a packet in answer.
             if latest is None:
                 self._send(_NO_MORE_DATA, b"")
@@ -179,14 +177,14 @@ class _Receiver(asyncio.Protocol):
 
     def tell_people(self) -> None:
         """Send an event if there are others than the receiver knows."""
-        people = self._server.parameters.roster.skeletons.keys()
+        people = self._server.parameters.skeletons.keys()
         if not self._is_slow and any(people - set(known) for known in self._listed.values()):
             self._send(_EVENT, _CONNECTED)
 
     def show(self, frame: FrameEncoder, is_first: bool = False) -> int:
         """Send a frame if the stream has it; return how many packets were sent."""
         stream = self._stream
-        if stream is None or self._is_slow or not (is_first or self._is_due(stream, frame)):
+        if stream is None or self._is_slow or not (is_first or frame.number % stream.divisor == 0):
             return 0
         content = self._frame(stream.components, frame)
         if stream.udp_port is not None:
@@ -194,17 +192,8 @@ class _Receiver(asyncio.Protocol):
         self._send(_DATA, content)
         return 1
 
-    def _is_due(self, stream: FrameRequest, frame: FrameEncoder) -> bool:
-        if stream.frequency_hz is None:
-            return frame.number % stream.divisor == 0
-        time_s, period_s = frame.instant.time_s, 1 / stream.frequency_hz
-        is_due = time_s >= self._next_s - _PAUSE_S
-        if is_due:
-            self._next_s = self._next_s + period_s if self._next_s + period_s > time_s else time_s + period_s
-        return is_due
-
     def _frame(self, components: Sequence[str], frame: FrameEncoder) -> bytes:
-        everybody = tuple(self._server.parameters.roster.skeletons)
+        everybody = tuple(self._server.parameters.skeletons)
         return frame.frame(components, {"3d": everybody, "skeleton": everybody, **self._listed})
 
 
@@ -216,8 +205,6 @@ _COMMANDS: Mapping[str, Callable[[_Receiver, Sequence[str]], None]] = MappingPro
         "streamframes": _Receiver.stream_frames,
     }
 )
-
-
 _ANSWERS: Mapping[str, tuple[int, bytes | str]] = MappingProxyType(
     {
         "qtmversion": (_COMMAND, f"Multicap {importlib.metadata.version('multicap')}"),
@@ -253,7 +240,7 @@ class QtmOutput:
     """Output of the Qualisys real-time protocol; see ``LiveOutput``. Receivers are answered on a thread."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._start = start
+        self._start, self.rate_hz = start, start.rate_hz
         self.parameters = Parameters(start.rate_hz, start.joints)
         self.receivers: dict[_Receiver, None] = {}  # The oldest connection first
         self.latest: FrameEncoder | None = None
@@ -311,7 +298,7 @@ class QtmOutput:
 
     async def _show(self, instant: LiveInstant) -> int:
         self._first_s = instant.time_s if self._first_s is None else self._first_s
-        number = 1 + round((instant.time_s - self._first_s) * self._start.rate_hz)
+        number = 1 + round((instant.time_s - self._first_s) * self.rate_hz)
         self.latest = FrameEncoder(instant, number, len(self._start.joints))
         is_changed = self.parameters.update(instant)
         num_sent = 0

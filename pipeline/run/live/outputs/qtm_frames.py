@@ -33,13 +33,15 @@ class FrameRequest:
 
     components: tuple[str, ...]
     divisor: int = 1  # Every n-th frame
-    frequency_hz: float | None = None  # Frames a second at most
     udp_host: str | None = None  # Address that the request states
     udp_port: int | None = None
 
     @staticmethod
-    def read(words: Sequence[str]) -> "FrameRequest | None":
-        """Read the words of a request in lower case: rate, address of UDP, components; ``None`` if it is wrong."""
+    def read(words: Sequence[str], rate_hz: float) -> "FrameRequest | None":
+        """Read the words of a request in lower case: rate, address of UDP, components; ``None`` if it is wrong.
+
+        ``rate_hz``: rate of the frames, of which the nearest part is sent.
+        """
         match = re.fullmatch(r"(allframes|frequency:(\d{1,4})|frequencydivisor:(\d{1,4}))", next(iter(words), ""))
         if match is None:
             return None
@@ -53,7 +55,8 @@ class FrameRequest:
         components = read_components(rest)
         if components is None:
             return None
-        return FrameRequest(components, int(match[3] or 0) or 1, float(match[2] or 0) or None, host or None, port)
+        divisor = round(rate_hz / int(match[2])) if int(match[2] or 0) else int(match[3] or 0)
+        return FrameRequest(components, max(1, divisor), host or None, port)
 
 
 def read_components(words: Sequence[str]) -> tuple[str, ...] | None:

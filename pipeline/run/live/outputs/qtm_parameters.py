@@ -6,7 +6,6 @@ millimetres.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -25,28 +24,6 @@ def segment_joints(num_joints: int) -> list[int]:
     """Joints that are segments, in the order of the segments' numbers."""
     names = [joint.name for joint in find_skeleton(num_joints)]
     return [place for place, name in enumerate(names) if name in _SEGMENT_NAMES or not name.endswith("End")]
-
-
-@dataclass(slots=True)
-class Roster:
-    """People with a skeleton, in the order of appearance; the people who left long ago make room for others."""
-
-    skeletons: dict[int, LiveSkeleton] = field(default_factory=dict)  # Latest pose by the person's number
-    _seen_s: dict[int, float] = field(default_factory=dict)
-
-    def update(self, instant: LiveInstant) -> bool:
-        """Take an instant; return whether people or their bones are others than before."""
-        is_changed = False
-        for person in instant.people:
-            if person.skeleton is None:
-                continue
-            known = self.skeletons.get(person.id)
-            if known is None and len(self.skeletons) == _MAX_LISTED:
-                gone = min(self._seen_s, key=self._seen_s.__getitem__)
-                del self.skeletons[gone], self._seen_s[gone]
-            is_changed |= known is None or known.bone_length_m is not person.skeleton.bone_length_m
-            self.skeletons[person.id], self._seen_s[person.id] = person.skeleton, instant.time_s
-        return is_changed
 
 
 _ACTIONS = (
@@ -113,8 +90,6 @@ def _skeletons(is_global: bool, skeletons: Mapping[int, LiveSkeleton]) -> Elemen
                 position = {axis: f"{value:.4f}" for axis, value in zip("XYZ", rest_mm[place], strict=True)}
                 SubElement(transform, "Position", position)
                 SubElement(transform, "Rotation", X="0", Y="0", Z="0", W="1")
-            for name_of in ("DegreesOfFreedom", "Markers", "RigidBodies"):
-                SubElement(segment, name_of)
             elements[place] = segment
     return root
 
@@ -145,14 +120,25 @@ class Parameters:
 
     def __init__(self, rate_hz: float, joints: Sequence[str]) -> None:
         self._rate_hz, self._joints = rate_hz, joints
-        self.roster = Roster()
         self._texts: dict[str, str] = {}
+        self._seen_s: dict[int, float] = {}
+        # Latest pose by the person's number, in the order of appearance; who left long ago makes room for others.
+        self.skeletons: dict[int, LiveSkeleton] = {}
 
     def update(self, instant: LiveInstant) -> bool:
-        """Take an instant; return whether the parameters have changed."""
-        is_changed = self.roster.update(instant)
-        if is_changed:
-            self._texts.clear()
+        """Take an instant; return whether there are people who were not listed before."""
+        is_changed = False
+        for person in instant.people:
+            if person.skeleton is None:
+                continue
+            known = self.skeletons.get(person.id)
+            if known is None and len(self.skeletons) == _MAX_LISTED:
+                gone = min(self._seen_s, key=self._seen_s.__getitem__)
+                del self.skeletons[gone], self._seen_s[gone]
+            if known is None or known.bone_length_m is not person.skeleton.bone_length_m:
+                self._texts.clear()
+            is_changed |= known is None
+            self.skeletons[person.id], self._seen_s[person.id] = person.skeleton, instant.time_s
         return is_changed
 
     def read(self, names: Iterable[str], version: int) -> tuple[str, set[str]]:
@@ -167,7 +153,7 @@ class Parameters:
             raise ParameterError(f"Skeletons need version 1.{_FIRST_HIERARCHICAL} or later")
         wanted &= _SECTIONS.keys()
         for name in wanted - self._texts.keys():
-            section = _SECTIONS[name](self._rate_hz, self._joints, self.roster.skeletons)
+            section = _SECTIONS[name](self._rate_hz, self._joints, self.skeletons)
             self._texts[name] = tostring(section, encoding="unicode")
         root = f"QTM_Parameters_Ver_1.{version}"
         text = "".join(self._texts[name] for name in _SECTIONS if name in wanted)
