@@ -53,9 +53,8 @@ def crop(
     Pixels of large regions are averaged first. The border of the image is repeated outside of the image. Values are
     from 0 to 1.
     """
-    factor = int(region.side_px / crop_px)
-    if factor >= 2:
-        image_rgb, region = _shrink(image_rgb, region, factor)
+    if (num_halvings := int(np.log2(region.side_px / crop_px))) > 0:
+        image_rgb, region = _shrink(image_rgb, region, num_halvings)
     corners_px = region.crop_from_image(np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]), crop_px)
     origin_px = corners_px[0]
     matrix = np.column_stack([corners_px[1] - origin_px, corners_px[2] - origin_px, origin_px])
@@ -66,10 +65,11 @@ def crop(
 
 
 def _shrink(
-    image_rgb: UInt8[np.ndarray, "height width 3"], region: Region, factor: int
+    image_rgb: UInt8[np.ndarray, "height width 3"], region: Region, num_halvings: int
 ) -> tuple[UInt8[np.ndarray, "_ _ 3"], Region]:
-    """Average blocks of ``factor`` by ``factor`` pixels of the image around a region; return the region in them."""
+    """Halve the image around a region some times, by averaging; return the region in it."""
     height, width = image_rgb.shape[:2]
+    factor = 2**num_halvings
     turn = abs(np.cos(region.angle_rad)) + abs(np.sin(region.angle_rad))
     reach_px = turn * region.side_px / 2 + _MARGIN * factor
     x0, y0 = (max(0, int(center - reach_px)) for center in region.center_px)
@@ -79,8 +79,9 @@ def _shrink(
     )
     if columns == 0 or rows == 0:
         return image_rgb, region
-    part = image_rgb[y0 : y0 + rows * factor, x0 : x0 + columns * factor]
-    small = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
+    small = image_rgb[y0 : y0 + rows * factor, x0 : x0 + columns * factor]
+    for _ in range(num_halvings):  # OpenCV averages blocks of two quickly, larger ones slowly
+        small = cv2.resize(small, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     center_x, center_y = (
         (center - first + 0.5) / factor - 0.5 for center, first in zip(region.center_px, (x0, y0), strict=True)
     )
