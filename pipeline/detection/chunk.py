@@ -14,14 +14,13 @@ from pipeline.core.errors import InputError
 from pipeline.core.joints import JointSet
 from pipeline.core.runtime.resources import give_pictures_back
 from pipeline.detection.appearance import NUM_BINS, PARTS, colour_histograms
+from pipeline.detection.between import bodies_between, schedule_detections
 from pipeline.detection.bodies import ImageBodies, join_colours, stack_bodies
 from pipeline.detection.damage import ChangeMeter
 from pipeline.detection.decoders.fields import ImageFields
 from pipeline.detection.decoders.openpose import LIMBS
 from pipeline.detection.detector import Detector
 from pipeline.detection.profiles.profile_detector import BodyDetector
-from pipeline.detection.topdown.between import bodies_between, schedule_detections
-from pipeline.detection.topdown.topdown_detector import TopDown
 from pipeline.video.decode import decode
 from pipeline.video.timeline import frames_in
 
@@ -39,8 +38,7 @@ def detect_chunk(
 
     - ``span_s``: t0 and t1 on the session's clock.
     - ``measures_colours``: whether the colours of the bodies are measured; see ``appearance``.
-    - ``follow_s``: longest time between two detections in whole images, for a detector that reads the joints of bodies
-      in crops; see ``topdown.between``. 0: every frame is detected.
+    - ``follow_s``: longest time between two detections, see ``between``. 0: every frame is detected.
     - Returns detections; frames are numbered from the start of the video.
     - Raises ``InputError, ChildError``: see ``decode``.
     """
@@ -72,10 +70,7 @@ def _detected(
     """Number, picture and bodies of each frame of a range; see ``detect_chunk``."""
     time_s = session.times[camera].time_s
     frames = frames_in(session.times[camera], *span_s)
-    if not (follow_s and len(frames) and isinstance(detector, TopDown) and detector.refines_body):
-        with closing(camera_images(session, camera, frames, on_damaged=on_damaged)) as images:
-            for frame, image_rgb in images:
-                yield frame, image_rgb, detector.detect(image_rgb)
+    if not len(frames):
         return
 
     def on_own_damaged(frame: int) -> None:
@@ -84,9 +79,9 @@ def _detected(
 
     schedule = schedule_detections(time_s, frames, follow_s)
     with closing(camera_images(session, camera, schedule.frames, on_damaged=on_own_damaged)) as images:
-        for frame, image_rgb, bodies in bodies_between(images, detector.body, schedule):
+        for frame, image_rgb, bodies in bodies_between(images, detector, schedule):
             if frame in frames:
-                yield frame, image_rgb, detector.refined(image_rgb, bodies)
+                yield frame, image_rgb, bodies
 
 
 def measure_colours(

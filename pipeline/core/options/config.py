@@ -128,12 +128,12 @@ class MotionChoices:
         float,
         About(
             "Time between detections, s",
-            "Longest time between detections in whole pictures. Crops follow people meanwhile; 0 detects every frame.",
+            "Longest time between detections. Slow motion between them is interpolated; 0 detects every frame.",
             minimum=0.0,
             maximum=0.2,
             option="follow",
         ),
-    ] = field(default=0.0, kw_only=True)
+    ] = field(default=0.04, kw_only=True)
     smoothing: Annotated[Smoothing, About("Smoothing", "How joint positions are smoothed.")] = "fit"
     cutoff_hz: Annotated[
         float,

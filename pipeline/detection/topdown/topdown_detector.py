@@ -48,10 +48,7 @@ class TopDown:
 
     def detect(self, image_rgb: UInt8[np.ndarray, "height width 3"]) -> ImageBodies:
         """Detect the bodies in an image, in pixels of the image; boxes are those around the body's joints."""
-        return self.refined(image_rgb, self.body.detect(image_rgb))
-
-    def refined(self, image_rgb: UInt8[np.ndarray, "height width 3"], bodies: ImageBodies) -> ImageBodies:
-        """Add the landmarks in crops of an image to the bodies that its detector found in it; see ``detect``."""
+        bodies = self.body.detect(image_rgb)
         keypoints_px = np.full((len(bodies.score), len(self.joints.names), 2), np.nan)
         score = np.zeros(keypoints_px.shape[:2])
         num_body = len(COCO_17.names)

@@ -172,7 +172,7 @@ def effective_choices(config: ReconstructionConfig) -> dict[str, Any]:
     is_clustering = config.method == "clustering"
     has_no_effect = {
         "profile": config.detector != "auto",
-        "follow_s": not config.networks.refines_body,
+        "follow_s": config.uses_fields,
         "cutoff_hz": config.smoothing != "butterworth",
         "appearance": is_clustering,
         "joint_centers": config.smoothing != "fit",

@@ -77,9 +77,13 @@ def test_bodies_are_followed_between_detections_whatever_cut(session: CaptureSes
     np.testing.assert_array_equal(cut.changes.change, whole.changes.change)
 
 
-@pytest.mark.parametrize(("refines_body", "num_frames"), [(True, 0.0), (False, 3.0)])
-def test_every_frame_is_detected_by_default(session: CaptureSession, refines_body: bool, num_frames: float) -> None:
+@pytest.mark.parametrize("refines_body", [True, False])
+def test_without_follow_every_frame_is_detected(session: CaptureSession, refines_body: bool) -> None:
     body = BrightBody()
-    follow_s = num_frames / session.timebase.frame_rate_hz
-    detect_in(session, top_down(body, refines_body), [0, NUM_FRAMES], follow_s)
+    detect_in(session, top_down(body, refines_body), [0, NUM_FRAMES], 0.0)
     assert body.num_images == NUM_FRAMES
+
+
+def test_range_without_frames_has_no_bodies(session: CaptureSession) -> None:
+    detections = detect_chunk(session, "left", (-2.0, -1.0), top_down(BrightBody()), follow_s=0.04)
+    assert detections.keypoints_px.shape == (0, len(BODY_FEET.names), 2)

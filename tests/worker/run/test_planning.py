@@ -120,10 +120,9 @@ def test_long_takes_are_fitted_in_parts(num_frames: int, num_parts: int) -> None
     assert (sizes[FIT], sizes[HOLD], sizes[IDENTIFY]) == (num_parts, num_parts, 1)
 
 
-@pytest.mark.parametrize("choice", [{"profile": "fast"}, {"detector": "movenet-multipose"}])
-def test_following_counts_where_joints_are_read_in_crops(choice: dict[str, Any]) -> None:
+def test_following_does_not_count_for_fields() -> None:
     session = make_session()
-    assert keys(session, JobSpec(**choice, follow_s=0.1)) == keys(session, JobSpec(**choice, follow_s=0.0))
+    assert keys(session, CLUSTERING.model_copy(update={"follow_s": 0.1})) == keys(session, CLUSTERING)
 
 
 def test_cutoff_counts_where_it_is_used() -> None:

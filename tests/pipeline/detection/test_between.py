@@ -1,5 +1,5 @@
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from pipeline.core.joints import COCO_17, JointSet
+from pipeline.detection.between import Picture, bodies_between, interpolate, pair_bodies, schedule_detections
 from pipeline.detection.bodies import ImageBodies, boxes_around
-from pipeline.detection.topdown.between import Picture, bodies_between, schedule_detections
 from tests.pipeline.detection.topdown.people import standing_px
 
 # Size of the standing body: the diagonal of the box around its joints.
@@ -66,6 +66,9 @@ def run(
 @pytest.mark.parametrize(
     ("rate_hz", "longest_s", "detected"),
     [
+        (30.0, 0.04, (0, 1, 2, 3, 4, 5, 6, 7, 8)),
+        (50.0, 0.04, (0, 2, 4, 6, 8)),
+        (60000 / 1001, 0.04, (0, 2, 4, 6, 8)),
         (30.0, 0.067, (0, 2, 4, 6, 8)),
         (30.0, 0.034, (0, 1, 2, 3, 4, 5, 6, 7, 8)),
         (25.0, 0.067, (0, 1, 2, 3, 4, 5, 6, 7, 8)),
@@ -134,6 +137,31 @@ def test_one_fast_hand_makes_frames_detected() -> None:
     assert set(range(10, 17)) <= set(detector.seen)
     assert not {3, 5, 7, 19, 21} & set(detector.seen)
     assert_array_equal(found[11].keypoints_px[0], standing_px() + places[11][0])
+
+
+def bodies_with_wrist(step_px: float, score: float) -> ImageBodies:
+    """Standing body whose left wrist is moved and has a score of its own."""
+    keypoints_px, scores = standing_px()[None].copy(), np.full((1, 17), 0.8)
+    wrist = COCO_17.index("left_wrist")
+    keypoints_px[0, wrist, 0] += step_px
+    scores[0, wrist] = score
+    return ImageBodies(keypoints_px, scores, boxes_around(keypoints_px), np.array([0.8]))
+
+
+def test_unsure_joint_that_jumps_is_missing_between() -> None:
+    before, after = bodies_with_wrist(0.0, 0.8), bodies_with_wrist(0.3 * SIZE_PX, 0.39)
+    pairs = pair_bodies(before, after)
+    assert pairs is not None
+    between = interpolate(before, after, pairs, 0.5)
+    assert np.flatnonzero(np.isnan(between.keypoints_px[0, :, 0])) == COCO_17.index("left_wrist")
+    assert np.flatnonzero(between.score[0] == 0) == COCO_17.index("left_wrist")
+    assert pair_bodies(before, bodies_with_wrist(0.3 * SIZE_PX, 0.41)) is None
+
+
+def test_bodies_elsewhere_on_average_are_not_paired() -> None:
+    before, after = bodies_with_wrist(0.0, 0.3), bodies_with_wrist(0.0, 0.3)
+    after = replace(after, keypoints_px=after.keypoints_px + 0.11 * SIZE_PX, score=np.full((1, 17), 0.3))
+    assert pair_bodies(before, after) is None
 
 
 @pytest.mark.parametrize("entered", [12, 13])

@@ -1,9 +1,8 @@
-"""Bodies in the frames between two detections in whole images.
+"""Bodies in the frames between two detections.
 
-The network for whole images is the costly one. Where two of its detections, a few hundredths of a second apart, show
-the same bodies and these moved little, its joints in the frames between are interpolated. They place the crops in which
-BlazePose reads the joints as they are in these frames. Where the two detections differ, the frame in the middle is
-detected too.
+Networks are the costly part. Where two detections, a few hundredths of a second apart, show the same bodies and these
+moved little, their joints in the frames between are interpolated. Where the two detections differ, the frame in the
+middle is detected too.
 
 Frames for detection follow from the camera's times alone, and all else from the pictures between two of them. So it
 does not matter how frames are cut into ranges: a range begins at the detection before its first frame, and ends at the
@@ -18,12 +17,12 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from pipeline.core.data.arrays import read_only
-from pipeline.detection.bodies import BodyDetector, ImageBodies, boxes_around
+from pipeline.detection.bodies import BodyDetector, ImageBodies
 
 Picture = tuple[int, UInt8[np.ndarray, "height width 3"]]
 """Number of a frame, and its picture."""
 NumberedPictureBodies = tuple[int, UInt8[np.ndarray, "height width 3"], ImageBodies]
-"""Number of a frame, its picture, and the joints that the network for whole images has or would have there."""
+"""Number of a frame, its picture, and the joints that the detector has or would have there."""
 
 # Frames from one detection to the next at most: the pictures between are kept in memory.
 _MAX_FRAMES = 4
@@ -33,11 +32,13 @@ _SLACK_S = 1e-4
 _MIN_SCORE, _MIN_JOINTS = 0.2, 5
 # Largest distance of a joint of one body in two detections, as a share of the body's size.
 _MAX_STEP = 0.1
+# Least score of a joint whose larger step is motion. Of other joints it is a wrong detection in one of both.
+_SURE_SCORE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DetectionSchedule:
-    """Frames of a camera that are detected in whole images, around a range of frames."""
+    """Frames of a camera that are detected in any case, around a range of frames."""
 
     time_s: Float[np.ndarray, " frames"]  # Times of all frames of the camera, ascending
     # Numbers of the frames, ascending. The first one is not after the range's first frame, the last one not before the
@@ -60,7 +61,7 @@ class DetectionSchedule:
 
 
 def schedule_detections(time_s: Float[np.ndarray, " frames"], frames: range, longest_s: float) -> DetectionSchedule:
-    """Choose the frames of a camera that are detected in whole images.
+    """Choose the frames of a camera that are detected in any case.
 
     Each second since the camera's first frame begins with a detection. Each further detection is the last frame that is
     at most ``longest_s`` after the one before, or the next frame, and at most four frames away.
@@ -86,8 +87,7 @@ def bodies_between(
     """Detect bodies in the scheduled frames, and in those between as far as they can't be interpolated.
 
     ``images``: pictures of ``schedule.frames``, in order; some may be missing. A picture need not be valid for longer
-    than until the next one is requested, and neither are those that are returned. ``detector``: detector of bodies in
-    whole images.
+    than until the next one is requested, and neither are those that are returned.
     """
     before: tuple[int, ImageBodies] | None = None  # The last detection
     waiting: list[Picture] = []  # Pictures after it, in one gap between scheduled frames
@@ -143,22 +143,23 @@ def _between(
 def pair_bodies(before: ImageBodies, after: ImageBodies) -> Int[np.ndarray, " n"] | None:
     """Find each body of a detection in the next one.
 
-    Returns the number of each body in ``after``. ``None`` if a body is in one detection alone, or if a joint of a body
-    is elsewhere by more than a tenth of the body's size.
+    Returns the number of each body in ``after``. ``None`` if a body is in one detection alone, or if its joints on
+    average, or one that is sure, are elsewhere by more than a tenth of the body's size.
     """
     if len(before.score) != len(after.score):
         return None
     if not len(before.score):
         return np.zeros(0, np.int64)
-    is_sure = np.minimum(before.score[:, None], after.score[None]) >= _MIN_SCORE
+    score = np.minimum(before.score[:, None], after.score[None])
     distance_px = np.linalg.norm(before.keypoints_px[:, None] - after.keypoints_px[None], axis=-1)
     size_px = np.maximum(_sizes_px(before)[:, None], _sizes_px(after)[None])
-    step = np.where(is_sure, distance_px, 0.0) / size_px[..., None]
-    num_sure = is_sure.sum(-1)
-    mean_step = np.where(num_sure >= _MIN_JOINTS, step.sum(-1) / np.maximum(num_sure, 1), np.inf)
+    step = np.where(score >= _MIN_SCORE, distance_px, 0.0) / size_px[..., None]
+    num_seen = (score >= _MIN_SCORE).sum(-1)
+    mean_step = np.where(num_seen >= _MIN_JOINTS, step.sum(-1) / np.maximum(num_seen, 1), np.inf)
+    is_fast = ((step > _MAX_STEP) & (score >= _SURE_SCORE)).any(-1)
     rows, pairs = np.arange(len(mean_step)), mean_step.argmin(1)
     is_mutual = mean_step.argmin(0)[pairs] == rows
-    is_near = np.isfinite(mean_step[rows, pairs]) & (step[rows, pairs].max(-1) <= _MAX_STEP)
+    is_near = (mean_step[rows, pairs] <= _MAX_STEP) & ~is_fast[rows, pairs]
     return pairs if (is_mutual & is_near).all() else None
 
 
@@ -170,14 +171,16 @@ def interpolate(before: ImageBodies, after: ImageBodies, pairs: Int[np.ndarray, 
     """Interpolate bodies between two detections.
 
     Body n of ``before`` is body ``pairs[n]`` of ``after``. ``share`` is the place between them, from 0 to 1. A joint
-    that one of them lacks is missing.
+    that one of them lacks, or that is elsewhere by more than a tenth of the body's size, is missing.
     """
+    size_px = np.maximum(_sizes_px(before), _sizes_px(after)[pairs])
+    step_px = np.linalg.norm(after.keypoints_px[pairs] - before.keypoints_px, axis=-1)
+    is_near = step_px <= _MAX_STEP * size_px[:, None]
     keypoints_px = _mix(before.keypoints_px, after.keypoints_px[pairs], share)
-    score = _mix(before.score, after.score[pairs], share)
     return ImageBodies(
-        read_only(keypoints_px),
-        read_only(np.where(np.isfinite(keypoints_px).all(-1), score, 0.0)),
-        read_only(boxes_around(keypoints_px)),
+        read_only(np.where(is_near[..., None], keypoints_px, np.nan)),
+        read_only(np.where(is_near, _mix(before.score, after.score[pairs], share), 0.0)),
+        read_only(_mix(before.box_px, after.box_px[pairs], share)),
         read_only(_mix(before.center_score, after.center_score[pairs], share)),
     )
 
