@@ -58,8 +58,11 @@ def simulated(act: Act, lead_s: float, length_s: float, corners_m: np.ndarray, s
     lift_m = feet_m[..., 2] - feet_m[..., 2].min()
     speed_m_s = np.linalg.norm(np.gradient(feet_m, axis=1), axis=-1) * SAMPLE_HZ
     down = (lift_m < 0.05) & (speed_m_s < 0.5)
-    # Between two steps the lower foot carries: only in a jump no foot does.
-    down |= ~down.any(0) & (lift_m == lift_m.min(0)) & (lift_m < 0.05)
+    # Between two steps the lower foot carries, but in a jump no foot does.
+    hop_m = performed(act).hop_m
+    assert hop_m is not None
+    if not hop_m.any():
+        down |= ~down.any(0) & (lift_m == lift_m.min(0))
     # The nearer foot carries more.
     near = 1.0 / (0.02 + np.linalg.norm(feet_m[..., :2] - centre_m[:, :2], axis=-1))
     share = gaussian_filter1d(down * near, 8.0, axis=1)
