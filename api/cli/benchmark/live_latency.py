@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import psutil
 import typer
 
+from api.cli.benchmark.live_outputs import measure_outputs
 from api.cli.benchmark.tracking import crowd
 from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
 from pipeline.core.options.config import ReconstructionConfig
@@ -162,11 +163,17 @@ def live(
         list[int] | None,
         typer.Option("--memory", min=1, max=600, help="Measure the memory after so many minutes of a capture instead."),
     ] = None,
+    has_outputs: Annotated[
+        bool, typer.Option("--outputs", help="Measure the delay that outputs to other programs add instead.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Time people and skeletons from a frame's arrival on one core, and compare them with a finished session."""
     if minutes:
         _report_memory(minutes, as_json)
+        return
+    if has_outputs:
+        _report_outputs(duration_s, as_json)
         return
     with reporting(as_json):
         warm_up()
@@ -181,6 +188,21 @@ def live(
         f"Simulated room: error {room['live_mm']:.1f} mm live and {room['fit_mm']:.1f} mm of the finished fit, "
         f"{room['ratio']:.2f} times; {room['switches']} switches of identity."
     )
+
+
+def _report_outputs(duration_s: float, as_json: bool) -> None:
+    with reporting(as_json):
+        warm_up()
+        cases = measure_outputs(duration_s)
+    if as_json:
+        emit({"outputs": cases})
+        return
+    columns = [name.replace("_", " ") for name in cases[0]]
+    print_table(columns, ([_shown(value) for value in case.values()] for case in cases))
+
+
+def _shown(value: str | float | None) -> str:
+    return value if isinstance(value, str) else "-" if value is None else f"{value:.3g}"
 
 
 def _report_memory(minutes: Sequence[int], as_json: bool) -> None:
