@@ -4,10 +4,12 @@ import contextlib
 import time
 import uuid
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import pyxdf
 
 from pipeline.core.joints import JointSet
 from pipeline.motion.angles.compute import observable_angles, segment_angles
@@ -24,6 +26,7 @@ from tests.pipeline.run.live.outputs.people import (
     skeleton_of,
     world_matrices,
 )
+from tests.pipeline.run.live.outputs.xdf import RecordedStream, write_xdf
 
 pylsl = pytest.importorskip("pylsl", reason="pylsl is not installed (the extra `lsl`)")
 from pipeline.run.live.outputs.lsl import LslOutput, pose_angles_deg  # noqa: E402 - it needs pylsl
@@ -143,3 +146,27 @@ def test_quality_tells_who_comes_and_goes() -> None:
     assert [marker for (marker,) in markers] == ["person-3 located", "person-3 tracked", "absent"]
     assert np.isfinite(positions_m[:3]).all()
     assert np.isnan(positions_m[3]).all()
+
+
+def test_recording_has_labels_units_and_common_times(tmp_path: Path) -> None:
+    instants = [live_instant([1], 1000.0 + step / RATE_HZ, seed=step) for step in range(5)]
+    with sending() as (output, name):
+        inlets = opened(output, *(f"{name}-1-{stream}" for stream in ("joints", "angles", "quality")))
+        for instant in instants:
+            output.send(instant)
+        streams = [
+            RecordedStream(inlet.info(60).as_xml(), *pulled(inlet, num_samples))
+            for inlet, num_samples in zip(inlets, (5, 5, 1), strict=True)
+        ]
+    write_xdf(tmp_path / "take.xdf", streams)
+    joints, angles, quality = pyxdf.load_xdf(tmp_path / "take.xdf", dejitter_timestamps=False)[0]
+    channels = joints["info"]["desc"][0]["channels"][0]["channel"]
+    assert [channel["label"][0] for channel in channels[:3]] == ["nose_X", "nose_Y", "nose_Z"]
+    assert {channel["unit"][0] for channel in channels} == {"meters"}
+    expected_m = [instant.people[0].xyz_m.ravel() for instant in instants]
+    np.testing.assert_allclose(joints["time_series"], expected_m, atol=TOLERANCE_M)
+    np.testing.assert_allclose(angles["time_stamps"], joints["time_stamps"])
+    named = [channel["label"][0] for channel in angles["info"]["desc"][0]["channels"][0]["channel"]]
+    assert tuple(named) == ANGLES
+    assert quality["time_series"] == [["person-1 tracked"]]
+    assert quality["time_stamps"][0] == joints["time_stamps"][0]
