@@ -65,10 +65,10 @@ class Settings(SharedSettings):
     max_character_bytes: int = Field(default=512 * MIB, gt=0)
     """Largest size of a character's file; files above 512 MiB are never read."""
     max_json_bytes: int = Field(default=64 * KIB, gt=0, description="Largest size of a JSON body or part.")
-    max_session_joints: int = Field(default=25_000_000, gt=0)
+    max_session_joints: int = Field(default=75_000_000, gt=0)
     """Largest number of joints in all keypoint files of a session, with or without coordinates; a session with more is
-    refused (`session_too_large`). A worker needs some 65 bytes for each joint: raise memory_bytes of the workers with
-    it."""
+    refused (`session_too_large`). A check needs some 36 bytes for each joint, its stored data 22: raise
+    preflight_memory_bytes and max_record_bytes with it."""
     max_cameras: int = Field(default=64, gt=0)
     """Largest number of cameras of a session. A recording in parts is one camera; a session has at most 16 parts for
     each camera on average."""
@@ -132,7 +132,7 @@ class Settings(SharedSettings):
     preflight_wait_s: float = Field(default=10.0, gt=0)
     """Longest time that a session waits for its check before it is refused, in addition to 60 s a GiB of its files."""
     max_preflight_bytes: int = Field(default=4 * MIB, gt=0, description="Largest size of a check's output.")
-    max_record_bytes: int = Field(default=1 * GIB, gt=0)
+    max_record_bytes: int = Field(default=2 * GIB, gt=0)
     """Largest size of the data that a check stores for workers: times of all frames, keypoints."""
     preflight_memory_bytes: int = Field(default=3 * GIB, ge=GIB // 2)
     """Memory limit of a check; a session whose check needs more is refused (`session_too_large`)."""

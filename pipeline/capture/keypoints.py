@@ -40,13 +40,14 @@ from pipeline.core.paths import StrPath
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, CAMERA_SAW_NOBODY, KEYPOINTS_FORM
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
+from pipeline.core.runtime import large_arrays
 from pipeline.video.info import VideoInfo
 from pipeline.video.timeline import cut_timebase, frames_in, recorded_stretches, require_frames, span_s
 
-MAX_JOINTS = 25_000_000
-"""Limit on the joints of a session, detected or not: two hours of two people, four cameras, 17 joints and 25 Hz.
+MAX_JOINTS = 75_000_000
+"""Limit on the joints of a session, detected or not: an hour of ten people, four cameras, 17 joints and 30 Hz.
 
-A worker uses about 85 bytes of memory a joint.
+The check of the files uses about 36 bytes of memory a joint.
 """
 _LARGE_HINT = "Cut it into several captures."
 _MAX_NAMED = 10
@@ -465,20 +466,20 @@ def _num_joints(frames: Mapping[str, Mapping[int, People]], joints: JointSet) ->
 
 def _as_detections(camera: str, frames: Sequence[People], num_joints: int) -> Detections:
     """Build the detections of a camera; frames are numbered by their position in ``times``."""
-    people = np.concatenate(
+    people = large_arrays.concatenate(
         [
             np.empty((0, num_joints, 3)),
             *(_padded(people_of_frame, num_joints) for people_of_frame in frames if len(people_of_frame)),
         ]
     )
-    points_px, score = people[..., :2], people[..., 2]
     detected = is_detected(people)
-    keypoints_px = np.where(detected[..., None], points_px, np.nan)
+    keypoints_px, score = large_arrays.copy(people[..., :2]), large_arrays.copy(people[..., 2])
+    keypoints_px[~detected], score[~detected] = np.nan, 0.0
     return Detections(
         camera=camera,
         frame=np.repeat(np.arange(len(frames)), [len(people_of_frame) for people_of_frame in frames]),
         keypoints_px=keypoints_px,
-        score=np.where(detected, np.clip(score, 0.0, 1.0), 0.0),
+        score=np.clip(score, 0.0, 1.0, out=score),
         box_px=_boxes(keypoints_px),
     )
 

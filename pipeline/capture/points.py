@@ -237,7 +237,7 @@ def session_of_tables(
     starts = [round((start - start_s) * rate_hz) for start, *_ in people]
     num_frames = max(start + len(next(iter(of.values()))) for start, (_, of, _) in zip(starts, people, strict=True))
     joints = joint_set(dict.fromkeys(name for _, of, _ in people for name in of))
-    if num_frames > MAX_OUTPUT_FRAMES or num_frames * len(people) * len(joints.names) > MAX_JOINTS * 4:
+    if num_frames > MAX_OUTPUT_FRAMES or num_frames * len(people) * len(joints.names) > MAX_JOINTS * 4 / 3:
         raise InputError([Problem(SESSION_TOO_LARGE, "The take is too long.", hint="Cut it into several captures.")])
     tracks = tuple(
         _track(k + 1, start, of, turns, joints.names)

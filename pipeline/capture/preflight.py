@@ -40,7 +40,7 @@ from pipeline.capture.laboratory.laboratory_files import with_laboratory
 from pipeline.capture.own_points_file import with_own_points
 from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
 from pipeline.capture.points import open_points, parse_names
-from pipeline.capture.preflight_npz import encode_keypoints, encode_points, encode_session
+from pipeline.capture.preflight_npz import save_record
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding, documents
@@ -118,7 +118,7 @@ def _camera_rate_hz(session: Session, camera: str) -> float:
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
-def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, bytes]:
+def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, Session]:
     if arguments.photographs and (others := [path for path in arguments.videos if not is_sequence(path)]):
         raise InputError([_no_archive(path) for path in others])
     recordings = _recordings(arguments)
@@ -140,13 +140,13 @@ def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Prefl
         )
     session = _with_laboratory(session, arguments)
     files = [[path.name for path in video.paths] for video in session.videos]
-    preflight, record = report(session, files, units, recordings, clock, arguments.up), encode_session(session)
+    preflight = report(session, files, units, recordings, clock, arguments.up)
     if arguments.thumbnails:
         looked = look_at_pictures(session, max(0.0, arguments.pictures_s - (time.monotonic() - _STARTED_S)))
         stored = [_write_thumbnails(arguments.thumbnails, *numbered) for numbered in enumerate(looked.thumbnails)]
         preflight = replace(preflight, cameras=tuple(map(_with_thumbnails, preflight.cameras, stored)))
         preflight = _with_findings(preflight, [*check_cameras(session.cameras), *looked.findings])
-    return preflight, record
+    return preflight, session
 
 
 def _with_laboratory(session: _Session, arguments: argparse.Namespace) -> _Session:
@@ -195,7 +195,7 @@ def _no_archive(path: Path) -> Problem:
     return Problem(IMAGES_ARCHIVE, message, file=path.name, hint=hint)
 
 
-def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, bytes]:
+def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, Session]:
     recordings = _recordings(arguments)
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         session = open_keypoints(
@@ -219,10 +219,10 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Pr
     preflight = report(session, files, arguments.units, recordings, up=arguments.up)
     if arguments.thumbnails:
         preflight = _with_findings(preflight, check_cameras(session.cameras))
-    return preflight, encode_keypoints(session)
+    return preflight, session
 
 
-def _check_points(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, bytes]:
+def _check_points(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, Session]:
     names = parse_names(arguments.names.encode())
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         zips = [path for path in arguments.points if path.suffix.lower() == ".zip"]
@@ -231,7 +231,7 @@ def _check_points(arguments: argparse.Namespace) -> tuple[preflight_record.Prefl
         files = [Path(folder) / path.stem if path in zips else path for path in arguments.points]
         session = open_points(files, arguments.frame_rate, arguments.units, arguments.up, names)
     checked = report(session, [], arguments.units, up=arguments.up or "z")
-    return replace(checked, names=names), encode_points(session)
+    return replace(checked, names=names), session
 
 
 def _of_folder(recording: Recording, archives: Sequence[Path]) -> Recording:
@@ -243,17 +243,17 @@ def _of_folder(recording: Recording, archives: Sequence[Path]) -> Recording:
 def _check(arguments: argparse.Namespace) -> dict[str, Any]:
     """Check the session, or the calibration, and build the answer."""
     if arguments.points:
-        preflight, record = _check_points(arguments)
+        preflight, session = _check_points(arguments)
     elif not arguments.videos and not arguments.keypoints:
         return _check_calibration(arguments)
     else:
-        preflight, record = (_check_videos if arguments.videos else _check_keypoints)(arguments)
+        preflight, session = (_check_videos if arguments.videos else _check_keypoints)(arguments)
         if arguments.laboratory:
             preflight = replace(preflight, laboratory=json.loads(arguments.laboratory_facts))
     if arguments.record:
         _write_record(
             arguments.record,
-            record,
+            session,
             "keypoints" if arguments.keypoints else "points" if arguments.points else "frame times",
         )
     return preflight.to_json()
@@ -273,9 +273,10 @@ def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _write_record(path: Path, record: bytes, content: str) -> None:
+def _write_record(path: Path, session: Session, content: str) -> None:
     try:
-        path.write_bytes(record)
+        with path.open("wb") as file:
+            save_record(session, file)
     except OSError as error:
         # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
         if error.errno != errno.EFBIG:

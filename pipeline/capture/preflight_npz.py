@@ -4,7 +4,10 @@ A NumPy archive without pickles, byte-identical for equal sessions.
 """
 
 import functools
+import hashlib
+import io
 import json
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -24,7 +27,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.findings import Finding
 from pipeline.core.joints import JointSet
-from pipeline.core.runtime.npz import decode_arrays, encode_arrays
+from pipeline.core.runtime.npz import decode_arrays, save_arrays
 from pipeline.video.info import VideoInfo
 
 DETECTION_ARRAYS = ("frame", "keypoints_px", "score", "box_px")
@@ -55,8 +58,7 @@ def _decode_cameras(head: Sequence[Mapping[str, Any]], arrays: Mapping[str, np.n
             matrix=arrays[f"matrix_{k}"],
             distortion=arrays[f"distortion_{k}"],
             cam_from_world=Rigid3(arrays[f"rotation_{k}"], arrays[f"translation_m_{k}"]),
-            # Records of earlier versions have no lens model.
-            lens=camera.get("lens", "standard"),
+            lens=camera["lens"],
         )
         for k, camera in enumerate(head)
     )
@@ -96,15 +98,27 @@ def _decode_laboratory(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
     return Laboratory(**plain | decoded)
 
 
+def save_record(session: Session, file: io.BufferedIOBase) -> None:
+    """Write the record of a session of any kind into a file: in memory it would be as large as the session."""
+    save_arrays(file, _arrays(session))
+
+
+def record_sha256(session: Session) -> str:
+    """SHA-256 of the record of a session."""
+    with tempfile.TemporaryFile() as file:
+        save_record(session, file)
+        file.seek(0)
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 @functools.singledispatch
-def encode_record(session: Session) -> bytes:
-    """Write the record of a session of either kind."""
+def _arrays(session: Session) -> dict[str, np.ndarray]:
     raise TypeError(type(session).__name__)
 
 
-@encode_record.register
-def encode_session(session: CaptureSession) -> bytes:
-    """Write the cameras and videos of a session; of the videos' paths only the names."""
+@_arrays.register
+def _of_videos(session: CaptureSession) -> dict[str, np.ndarray]:
+    """Cameras and videos of a session; of the videos' paths only the names."""
     cameras, arrays = _cameras(session.cameras)
     head = {
         "cameras": cameras,
@@ -118,7 +132,7 @@ def encode_session(session: CaptureSession) -> bytes:
         arrays |= {**_frames(video, str(k)), f"time_s_{k}": session.times[camera.name].time_s}
         for number, part in enumerate(video.parts):
             arrays |= _frames(part, f"{k}_{number}")
-    return encode_arrays(arrays)
+    return arrays
 
 
 def _video(video: VideoInfo) -> dict[str, Any]:
@@ -151,8 +165,7 @@ def _decode_video(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray], nam
         keyframe_pts=arrays[f"keyframe_pts_{name}"],
         time_s=arrays[f"video_time_s_{name}"],
         frame_rate_hz=head["frame_rate_hz"],
-        # Records of earlier versions are of square pixels.
-        stored_width_px=head.get("stored_width_px"),
+        stored_width_px=head["stored_width_px"],
         parts=tuple(
             _decode_video(part, arrays, f"{name}_{number}", folder) for number, part in enumerate(head.get("parts", ()))
         ),
@@ -160,7 +173,7 @@ def _decode_video(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray], nam
 
 
 def decode_session(content: bytes | BinaryIO, folder: Path) -> CaptureSession:
-    """Read what ``encode_session`` wrote; the videos are in ``folder`` by their names."""
+    """Read what ``save_record`` wrote; the videos are in ``folder`` by their names."""
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))
     cameras = _decode_cameras(head["cameras"], arrays)
@@ -174,9 +187,9 @@ def decode_session(content: bytes | BinaryIO, folder: Path) -> CaptureSession:
     )
 
 
-@encode_record.register
-def encode_keypoints(session: KeypointSession) -> bytes:
-    """Write a session of keypoints, all of it: its files are not needed again."""
+@_arrays.register
+def _of_keypoints(session: KeypointSession) -> dict[str, np.ndarray]:
+    """All of a session of keypoints: its files are not needed again."""
     cameras, arrays = _cameras(session.cameras)
     head = {
         "cameras": cameras,
@@ -197,7 +210,7 @@ def encode_keypoints(session: KeypointSession) -> bytes:
         if session.own.names:
             for kind, own in zip(_OWN, session.own.kinds, strict=True):
                 arrays |= {f"{kind}{name}_{k}": getattr(own[camera.name], name) for name in DETECTION_ARRAYS}
-    return encode_arrays(arrays)
+    return arrays
 
 
 def _own_file(own: OwnDetections, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -207,9 +220,8 @@ def _own_file(own: OwnDetections, arrays: dict[str, np.ndarray]) -> dict[str, An
     return {"own_file": {"shapes": shapes, "bones": own.bones}} if own.shapes or own.bones else {}
 
 
-@encode_record.register
-def encode_points(session: PointSession) -> bytes:
-    """Write a session of 3D points."""
+@_arrays.register
+def _of_points(session: PointSession) -> dict[str, np.ndarray]:
     arrays = {
         f"{name}_{k}": array for k, track in enumerate(session.people) for name, array in track.joint_arrays.items()
     }
@@ -219,11 +231,11 @@ def encode_points(session: PointSession) -> bytes:
         "starts": [track.start_frame for track in session.people],
         "findings": [finding.to_json() for finding in session.findings],
     }
-    return encode_arrays({"head": np.array(json.dumps(head)), **arrays})
+    return {"head": np.array(json.dumps(head)), **arrays}
 
 
 def decode_points(content: bytes | BinaryIO) -> PointSession:
-    """Read what ``encode_points`` wrote."""
+    """Read what ``save_record`` wrote."""
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))
     names = [each.name for each in fields(Track3D)]
@@ -240,7 +252,7 @@ def _joint_set(head: Mapping[str, Any]) -> JointSet:
 
 
 def decode_keypoints(content: bytes | BinaryIO) -> KeypointSession:
-    """Read what ``encode_keypoints`` wrote."""
+    """Read what ``save_record`` wrote."""
     arrays = decode_arrays(content)
     head = json.loads(str(arrays["head"]))
     cameras = _decode_cameras(head["cameras"], arrays)

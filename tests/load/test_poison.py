@@ -22,12 +22,12 @@ import pytest
 
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.preflight import report
-from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.load.poisoned_worker import POISON
+from tests.records import encode_record
 from tests.waiting import wait_for
 from worker.run import embedded
 from worker.run.planning import plan_job
@@ -69,7 +69,7 @@ class PoisonBench:
 
     def add_small(self) -> list[str]:
         """Queue the small jobs, each of a session of its own: no work is found again. Returns their ids."""
-        content = encode_keypoints(self.take)
+        content = encode_record(self.take)
         names = [f"{camera.name}.zip" for camera in self.take.cameras]
         preflight = report(self.take, [[name] for name in names], None)
         digest = hashlib.sha256(content).hexdigest()

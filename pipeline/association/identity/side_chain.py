@@ -12,12 +12,13 @@ The path of least cost is found by dynamic programming (Viterbi 1967).
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from pipeline.association.identity.limbs import LimbPair
-from pipeline.association.identity.side_candidates import NUM_CANDIDATES, SCALE_M, SeenRays
+from pipeline.association.identity.side_candidates import NUM_CANDIDATES, SCALE_M, LocatedLimbs, SeenRays
 
 NUM_STATES = 2 * NUM_CANDIDATES
 """States of a limb pair: its candidates, and each of them with left and right exchanged in all views."""
@@ -60,31 +61,32 @@ class LimbStates:
     rays: SeenRays  # Rays of the left limb's joints, then of the right one's, at the first frame of each moment
 
 
-def limb_states(
-    times_s: tuple[Float[np.ndarray, " moments"], Float[np.ndarray, " moments"]],
-    places_m: tuple[
-        Float[np.ndarray, "moments candidates 2 joints 3"], Float[np.ndarray, "moments candidates 2 joints 3"]
-    ],
-    residual: Float[np.ndarray, "moments candidates"],
-    exchanged: Bool[np.ndarray, "moments candidates cameras"],
-    rays: SeenRays,
-    label_weight: Float[np.ndarray, "moments cameras"],
-) -> LimbStates:
-    """States of a limb pair from its candidates.
+class LimbMoments(NamedTuple):
+    """A limb pair at some moments: doubtful frames, and stretches without doubts."""
 
-    Times and places are of the first and of the last frame; see ``LimbStates``. ``residual`` is infinite for a
-    candidate that is none. ``label_weight`` is the weight of the labels of each view, 0 where it sees nothing.
-    """
-    against = (exchanged * label_weight[:, None]).sum(-1)
-    whole = label_weight.sum(-1)[:, None]
+    # First and last frame that locates the limbs; the moment's own if none does
+    first: Int[np.ndarray, " moments"]
+    last: Int[np.ndarray, " moments"]
+    num_frames: Int[np.ndarray, " moments"]
+    exchanged: Bool[np.ndarray, "moments candidates cameras"]
+    is_candidate: Bool[np.ndarray, "moments candidates"]
+    label_weight: Float[np.ndarray, "moments cameras"]  # Sum over the frames, 0 where a view sees nothing
+
+
+def limb_states(
+    moments: LimbMoments, first: LocatedLimbs, last: LocatedLimbs, rays: SeenRays, frame_rate_hz: float
+) -> LimbStates:
+    """States of a limb pair from the candidates at the first and at the last frame of each moment."""
+    against = (moments.exchanged * moments.label_weight[:, None]).sum(-1)
+    whole = moments.label_weight.sum(-1)[:, None]
+    residual = np.where(moments.is_candidate, first.residual * moments.num_frames[:, None], np.inf)
     disagreement = _PER_RESIDUAL * residual
-    first_m, last_m = (np.concatenate([place_m, place_m[:, :, ::-1]], axis=1) for place_m in places_m)
     return LimbStates(
-        *times_s,
-        first_m,
-        last_m,
+        moments.first / frame_rate_hz,
+        moments.last / frame_rate_hz,
+        *(np.concatenate([at.xyz_m, at.xyz_m[:, :, ::-1]], axis=1) for at in (first, last)),
         np.concatenate([disagreement + _PER_LABEL * against, disagreement + _PER_LABEL * (whole - against)], axis=1),
-        np.concatenate([exchanged, ~exchanged], axis=1) & (label_weight > 0)[:, None],
+        np.concatenate([moments.exchanged, ~moments.exchanged], axis=1) & (moments.label_weight > 0)[:, None],
         rays,
     )
 

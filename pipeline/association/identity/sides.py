@@ -8,16 +8,15 @@ them costs next to nothing.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 from scipy.ndimage import binary_dilation
 
 from pipeline.association.identity.limbs import LimbPair, arms_and_legs
 from pipeline.association.identity.merging import relocate
 from pipeline.association.identity.side_candidates import SeenRays, SideCandidates, find_candidates, locate_limbs
-from pipeline.association.identity.side_chain import LimbStates, cost_of_way, limb_states, most_likely
+from pipeline.association.identity.side_chain import LimbMoments, LimbStates, cost_of_way, limb_states, most_likely
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Source, Track3D
@@ -59,7 +58,7 @@ def decide_sides(
     moments = [_moments(of_pair, doubtful, borders) for of_pair in candidates]
     blocks = (
         [
-            _states(person, limbs, _Moments(*(values[block] for values in of_pair)), cameras, timebase, min_score)
+            _states(person, limbs, LimbMoments(*(values[block] for values in of_pair)), cameras, timebase, min_score)
             for limbs, of_pair in zip(pairs, moments, strict=True)
         ]
         for block in large_arrays.blocks(len(num_frames))
@@ -133,28 +132,16 @@ def _jumps(track: Track3D, limbs: LimbPair, timebase: Timebase) -> Bool[np.ndarr
     return jumps
 
 
-class _Moments(NamedTuple):
-    """A limb pair at some moments: doubtful frames, and stretches without doubts."""
-
-    # First and last frame that locates the limbs; the moment's own if none does
-    first: Int[np.ndarray, " moments"]
-    last: Int[np.ndarray, " moments"]
-    num_frames: Int[np.ndarray, " moments"]
-    exchanged: Bool[np.ndarray, "moments candidates cameras"]
-    is_candidate: Bool[np.ndarray, "moments candidates"]
-    label_weight: Float[np.ndarray, "moments cameras"]  # Sum over the frames
-
-
 def _moments(
     candidates: SideCandidates, doubtful: Bool[np.ndarray, " frames"], borders: Int[np.ndarray, " borders"]
-) -> _Moments:
+) -> LimbMoments:
     """Moments between borders. In a stretch the labels stay as they are, or are exchanged in all views."""
     start = borders[:-1]
     is_stretch = ~doubtful[start]
     exchanged, is_candidate = candidates.exchanged[start], np.isfinite(candidates.cost[start])
     exchanged[is_stretch] = False
     is_candidate[is_stretch] = np.arange(is_candidate.shape[1]) == 0
-    return _Moments(
+    return LimbMoments(
         *_located_ends(candidates.is_located, borders),
         np.diff(borders),
         exchanged,
@@ -166,22 +153,14 @@ def _moments(
 def _states(
     person: Person,
     limbs: LimbPair,
-    moments: _Moments,
+    moments: LimbMoments,
     cameras: Sequence[Camera],
     timebase: Timebase,
     min_score: float,
 ) -> LimbStates:
-    """States of a limb pair at some moments."""
     rays = [_rays(person, frames, cameras, min_score) for frames in (moments.first, moments.last)]
     first, last = (locate_limbs(of_moments, limbs, moments.exchanged) for of_moments in rays)
-    return limb_states(
-        (moments.first / timebase.frame_rate_hz, moments.last / timebase.frame_rate_hz),
-        (first.xyz_m, last.xyz_m),
-        np.where(moments.is_candidate, first.residual * moments.num_frames[:, None], np.inf),
-        moments.exchanged,
-        rays[0].select_joints(limbs.both),
-        moments.label_weight,
-    )
+    return limb_states(moments, first, last, rays[0].select_joints(limbs.both), timebase.frame_rate_hz)
 
 
 def _located_ends(

@@ -207,7 +207,8 @@ def _record(
         person_m, sampled = whole_m[life], observations.sampled_in(life, sampling)
         source = close_gaps(timebase, person_m)
         ours = slice(num_done, num_done + len(person_m))
-        errors = np.empty(source.shape), np.empty(source.shape), np.empty(source.shape, np.int64)
+        error_px, mean_score = (large_arrays.empty(source.shape) for _ in range(2))
+        errors = error_px, mean_score, large_arrays.empty(source.shape, np.int64)
         record(sampled, bodies, flat_px[0], lenses, person_m, flat_px[1][ours], score[ours], *errors)
         detection = observations.detections_at(timebase, bodies, sampled) if bodies.colour.size else None
         recorded.append(

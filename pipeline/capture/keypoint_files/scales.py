@@ -18,6 +18,7 @@ from pipeline.core.findings import Finding
 from pipeline.core.parsing import KEYPOINT_PX
 from pipeline.core.problems.finding_codes import KEYPOINTS_SCALE
 from pipeline.core.problems.session_codes import KEYPOINTS_SCORES
+from pipeline.core.runtime import large_arrays
 
 _Frames = dict[int, People]
 
@@ -145,13 +146,13 @@ def _with_confidences(camera: str, frames: _Frames, findings: list[Finding], pro
 
 def _points(frames: _Frames) -> Float[np.ndarray, "points 3"]:
     """All points of a camera."""
-    return np.concatenate([np.empty((0, 3)), *(people.reshape(-1, 3) for people in frames.values())])
+    return large_arrays.concatenate([np.empty((0, 3)), *(people.reshape(-1, 3) for people in frames.values())])
 
 
 def _positions(frames: _Frames) -> Float[np.ndarray, "_ 2"]:
     """Positions of all joints that were found."""
     points = _points(frames)
-    return points[is_detected(points) & points[:, :2].any(-1), :2]
+    return large_arrays.copy(points[is_detected(points) & points[:, :2].any(-1), :2])
 
 
 def _is_scored(points: Float[np.ndarray, "*points 3"]) -> Bool[np.ndarray, "*points"]:

@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike
 
 from pipeline.core.runtime.resources import map_file, release_pages
 
-MIN_BYTES = 16 * 2**20
+MIN_BYTES = 2**20
 """Size from which on arrays are in files."""
 _BLOCK = 512
 

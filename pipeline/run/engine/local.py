@@ -1,7 +1,6 @@
 """Executor of one machine: the tasks of a plan in this process, or in a pool of processes."""
 
 import contextlib
-import hashlib
 import json
 import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -9,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.capture.points import PointSession
-from pipeline.capture.preflight_npz import encode_record
+from pipeline.capture.preflight_npz import record_sha256
 from pipeline.capture.session import CaptureSession, Session
 from pipeline.core.data.detections import Detections
 from pipeline.core.data.reconstruction import Reconstruction
@@ -240,8 +239,8 @@ def session_facts(session: Session, inputs: tuple[str, ...] = ()) -> SessionFact
 
 def _inputs(session: Session) -> tuple[str, ...]:
     """Digests of all that the result depends on: the opened session, and the videos' files."""
-    opened = hashlib.sha256(encode_record(session)).hexdigest()
-    return (opened, *(file_digest(path) for video in session.camera_videos.values() for path in video.paths))
+    paths = (path for video in session.camera_videos.values() for path in video.paths)
+    return (record_sha256(session), *map(file_digest, paths))
 
 
 def _check(session: Session, config: ReconstructionConfig) -> None:

@@ -1,7 +1,6 @@
 """Tasks of a job on this machine: their context, the stages that run them, and the pool of processes."""
 
 import contextlib
-import hashlib
 import json
 import shutil
 import tempfile
@@ -16,7 +15,7 @@ from queue import SimpleQueue
 
 from filelock import FileLock, Timeout
 
-from pipeline.capture.preflight_npz import encode_record
+from pipeline.capture.preflight_npz import record_sha256
 from pipeline.capture.session import Session
 from pipeline.core.errors import ChildError, PipelineError
 from pipeline.core.options.config import ReconstructionConfig
@@ -290,7 +289,7 @@ def _digests(session: Session, sources: Sequence[Path]) -> dict[str, str]:
     """SHA-256 of the files of a session by name: its videos, or its keypoints as they were read, and further files."""
     digests = {path.name: file_digest(path) for video in session.camera_videos.values() for path in video.paths}
     if not digests:
-        digests["keypoints as they were read"] = hashlib.sha256(encode_record(session)).hexdigest()
+        digests["keypoints as they were read"] = record_sha256(session)
     return digests | {path.name: file_digest(path) for path in sources}
 
 

@@ -8,13 +8,14 @@ import pytest
 
 from pipeline.capture.camera_files import Recording
 from pipeline.capture.preflight import report
-from pipeline.capture.preflight_npz import decode_session, encode_session
+from pipeline.capture.preflight_npz import decode_session
 from pipeline.capture.preflight_record import Preflight
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
 from tests.pipeline.capture.test_session import calibration
 from tests.pipeline.media import cut_at_keyframes, write_video
+from tests.records import encode_record
 
 GROUPS = {"g": "8", "keyint_min": "8", "sc_threshold": "0"}
 
@@ -64,7 +65,7 @@ class TestParts:
 
     def test_record_keeps_them(self, folder: Path, rig: Path) -> None:
         session = open_session(folder, rig, [Recording("left", offset_s=0.04, offset_std_s=0.002)])
-        again = decode_session(encode_session(session), folder)
+        again = decode_session(encode_record(session), folder)
         assert files_of(again) == files_of(session)
         assert again.offset_std_s == session.offset_std_s == {"left": 0.002}
         for one, other in zip(decode(again.videos[0], 6, 18), decode(session.videos[1], 6, 18), strict=True):

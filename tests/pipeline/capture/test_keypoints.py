@@ -11,11 +11,11 @@ import pytest
 from pipeline.capture.camera_files import Recording
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import open_keypoints
-from pipeline.capture.preflight_npz import encode_record
 from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_25, COCO_17, COCO_18
 from pipeline.validation.simulation.scenes import Simulation
 from tests.pipeline.capture.keypoint_scenes import edit, frame_with_people, messages, opened, problems_of, split_frames
+from tests.records import encode_record
 
 
 def test_simulated_truth_comes_back(scene: Path, simulation: Simulation) -> None:

@@ -11,12 +11,13 @@ import pytest
 from pipeline.capture.keypoint_arrays import from_arrays
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.own_points_file import with_own_points
-from pipeline.capture.preflight_npz import decode_keypoints, encode_record
+from pipeline.capture.preflight_npz import decode_keypoints
 from pipeline.core.errors import InputError
 from pipeline.core.joints import COCO_17
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.capture.point_files.mutations import mutated
 from tests.pipeline.own_point_scenes import BOX, RACKET
+from tests.records import encode_record
 
 BOX_M = {(a, b): float(np.linalg.norm(np.subtract(BOX[a], BOX[b]))) for a, b in itertools.combinations(BOX, 2)}
 WHOLE = f"""

@@ -1,9 +1,10 @@
+import hashlib
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.capture.preflight_npz import decode_keypoints, decode_session, encode_record, encode_session
+from pipeline.capture.preflight_npz import decode_keypoints, decode_session, record_sha256
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.data.rigid import Rigid3
@@ -11,6 +12,7 @@ from pipeline.core.findings import Finding
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.video.info import VideoInfo
 from tests.pipeline.own_point_scenes import own_scene
+from tests.records import encode_record
 
 RNG = np.random.default_rng(3)
 
@@ -31,8 +33,9 @@ def test_session_comes_back_with_its_videos_where_they_are_now(tmp_path: Path) -
         times={"left": FrameTimes(np.arange(30) / 30.0), "Käm 2": FrameTimes(np.arange(20) / 30.0 + 0.1)},
         findings=(Finding(CALIBRATION_NOTE, "They are near."),),
     )
-    content = encode_session(session)
-    assert encode_session(session) == content
+    content = encode_record(session)
+    assert encode_record(session) == content
+    assert record_sha256(session) == hashlib.sha256(content).hexdigest()
     back = decode_session(content, tmp_path)
     assert back.findings == session.findings
     for ours, theirs in zip(session.cameras, back.cameras, strict=True):

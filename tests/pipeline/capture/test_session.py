@@ -14,7 +14,7 @@ import pytest
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.camera_files import Recording
 from pipeline.capture.preflight import main, report
-from pipeline.capture.preflight_npz import decode_session, encode_session
+from pipeline.capture.preflight_npz import decode_session
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.errors import InputError
 from pipeline.video.decode import decode
@@ -22,6 +22,7 @@ from tests.pipeline.capture.keypoint_scenes import messages
 from tests.pipeline.media import rewrite_packets, write_audio, write_video
 from tests.pipeline.video.corpus import write_clip
 from tests.pipeline.video.images.test_images import as_folder, as_zip, image
+from tests.records import encode_record
 
 
 def calibration(path: Path, names: list[str], size_px: tuple[int, int] = (64, 48), **changes: Any) -> Path:
@@ -112,7 +113,7 @@ def test_images_in_place_of_videos(tmp_path: Path) -> None:
     np.testing.assert_allclose(session.times["a.1"].time_s, np.arange(10) / 25)
     np.testing.assert_allclose(session.times["b"].time_s, 0.1 + np.delete(np.arange(10), 4) / 50)
     assert [(one.code, one.camera) for one in session.findings] == [("frames_dropped", "b")]
-    again = decode_session(encode_session(session), images)
+    again = decode_session(encode_record(session), images)
     assert [number for number, _ in decode(again.videos[1], 3, 6)] == [3, 4, 5]
     with pytest.raises(InputError) as raised:
         open_session([as_zip(images / "b", {"0.png": image(0)}), images / "a.1"], cameras)

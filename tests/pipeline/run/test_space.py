@@ -16,8 +16,17 @@ from pipeline.core.errors import InputError
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.file_formats import FILE_FORMATS, Export, formats_of_people, installed_formats
 from pipeline.run.engine.local import reconstruct_to_files
-from pipeline.run.space import CameraFrames, ForeseenSpace, estimate_space, foreseen_memory, foreseen_space, shown_bytes
+from pipeline.run.space import (
+    CameraFrames,
+    ForeseenSpace,
+    estimate_space,
+    foreseen_memory,
+    foreseen_space,
+    memory_of_people,
+    shown_bytes,
+)
 from pipeline.validation.simulation.scenes import SCENES, record
+from worker.run.settings import WorkerSettings
 
 MAX_RATIO = 1.5
 MIN_RATIO = 0.7
@@ -109,12 +118,20 @@ def test_amounts_in_words(num_bytes: int, shown: str) -> None:
     assert shown_bytes(num_bytes) == shown
 
 
+def test_hour_of_twelve_cameras_and_four_people_fits_worker() -> None:
+    num_people = 4 * 3600 * 60
+    foreseen = memory_of_people(12 * 17 * num_people, num_people, 17)
+    assert 2**31 < foreseen < WorkerSettings.model_fields["memory_bytes"].default - 300 * 2**20
+    # Half an hour has as much in small arrays as an hour.
+    assert memory_of_people(6 * 17 * num_people, num_people / 2, 17) == (foreseen + 2**28) / 2
+
+
 def test_memory_of_whole_tasks_grows_with_joints(session: KeypointSession) -> None:
     preflight = preflight_of(session)
     num_joints = sum(detections.score.size for detections in session.detections.values())
     memory = foreseen_memory(preflight, ReconstructionConfig())
     num_people = max(len(detections.frame) for detections in session.detections.values())
-    assert memory.whole_bytes == 300 * 2**20 + 65 * num_joints + 5_000 * num_people
+    assert memory.whole_bytes == 300 * 2**20 + 73 * num_joints + 6_500 * num_people
     # Every task on keypoints holds all of them; of videos only those on the whole session do.
     assert {memory.task_bytes(cut) for cut in ("ranges", "whole", "people")} == {memory.whole_bytes}
     uncounted = [replace(camera, num_bodies=None, num_joints=None) for camera in preflight.cameras]

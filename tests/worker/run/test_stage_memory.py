@@ -3,9 +3,11 @@
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,13 +16,13 @@ import numpy as np
 import pytest
 
 from pipeline.capture.keypoints import KeypointSession
-from pipeline.capture.preflight_npz import encode_keypoints
 from pipeline.capture.preflight_record import Preflight, PreflightTimebase
 from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
 from pipeline.run.space import memory_of_people
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.scenes import Joints, find_scene, record
+from tests.records import encode_record
 from worker.run.chunk import Work
 from worker.run.execution import run_chunk
 from worker.store.files.artifacts import LocalArtifacts
@@ -81,24 +83,28 @@ def work(folder: Path, stage: str) -> Work:
 
 
 def run(folder: Path, stage: str) -> None:
-    """Run a stage in this process, store its output, and print the peak memory in KiB."""
+    """Run a stage in this process, and store its output."""
     output = run_chunk(work(folder, stage))
     for name, content in ((stage, output.content), (f"{stage}-interim", output.interim)):
         if isinstance(content, Path):
             content.replace(folder / name)
         elif content is not None:
             (folder / name).write_bytes(content)
-    status = Path("/proc/self/status").read_text()
-    sys.stdout.write(status.split("VmHWM:")[1].split()[0])
 
 
 def peak_bytes(folder: Path, stage: str) -> int:
-    """Peak memory of a process that runs a stage; large arrays are returned to the system when they are freed."""
+    """Peak memory of a process that runs a stage, without pages of files, which the system takes back."""
     command = [sys.executable, "-c", "import sys; from tests.worker.run.test_stage_memory import run; "
                "from pathlib import Path; run(Path(sys.argv[1]), sys.argv[2])", str(folder), stage]  # fmt: skip
     environment = os.environ | {"MALLOC_MMAP_THRESHOLD_": str(2**20), "OMP_NUM_THREADS": "1"}
-    ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300, env=environment)
-    return 1024 * int(ended.stdout)
+    peak_kib = 0
+    with subprocess.Popen(command, env=environment) as running:
+        while running.poll() is None:
+            status = Path(f"/proc/{running.pid}/status").read_text()
+            peak_kib = max(peak_kib, *map(int, re.findall(r"RssAnon:\s+(\d+)", status)), 0)
+            time.sleep(0.01)
+    assert running.returncode == 0
+    return 1024 * peak_kib
 
 
 @pytest.mark.benchmark
@@ -111,7 +117,7 @@ def test_every_stage_takes_memory_that_is_foreseen(tmp_path: Path, joints: Joint
         folder = tmp_path / str(number)
         folder.mkdir()
         session = long_session(wanted, joints)
-        (folder / "record").write_bytes(encode_keypoints(session))
+        (folder / "record").write_bytes(encode_record(session))
         num_joints = sum(detections.score.size for detections in session.detections.values())
         num_people = 2 * session.timebase.num_frames
         foreseen.append(memory_of_people(num_joints, num_people, len(session.joints.names)))

@@ -13,7 +13,7 @@ from pipeline.association.own_points.rigid import rigid_motions
 from pipeline.capture.keypoint_arrays import from_arrays
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.own_points_file import with_own_points
-from pipeline.capture.preflight_npz import decode_keypoints, encode_record
+from pipeline.capture.preflight_npz import decode_keypoints
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.joints import JointSet
 from pipeline.core.options.config import ReconstructionConfig
@@ -21,6 +21,7 @@ from pipeline.export.results import write_results
 from pipeline.export.writers.glb import GlbReader
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
+from tests.records import encode_record
 
 NAMES = tuple(f"spot_{k}" for k in range(17))
 

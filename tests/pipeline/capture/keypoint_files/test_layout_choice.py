@@ -11,13 +11,14 @@ import pytest
 from pipeline.calibration.write import encode
 from pipeline.capture.keypoint_files.writing import encode_frame
 from pipeline.capture.keypoints import KeypointSession, open_keypoints
-from pipeline.capture.preflight_npz import decode_keypoints, encode_keypoints
+from pipeline.capture.preflight_npz import decode_keypoints
 from pipeline.core.data.detections import Detections
 from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_25, BODY_FEET, COCO_17, COCO_18, SIDES, WHOLE_BODY, finger_joints
 from pipeline.core.layouts import FILE_LAYOUTS
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 from tests.pipeline.capture.keypoint_scenes import messages
+from tests.records import encode_record
 
 RATE_HZ = 25.0
 # Points that are no joints, by their places: shares of the way from the middle of a part to the middle of another one.
@@ -306,4 +307,4 @@ def test_camera_without_people_has_joints_of_others(room: Simulation, tmp_path: 
 def test_layout_of_session_is_kept_in_its_record(room: Simulation, tmp_path: Path) -> None:
     session = opened(room, tmp_path, "body-25b", num_frames=1)
     assert session.layout is not None
-    assert decode_keypoints(encode_keypoints(session)).layout == session.layout
+    assert decode_keypoints(encode_record(session)).layout == session.layout

@@ -11,7 +11,7 @@ import pytest
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.laboratory.laboratory_files import with_laboratory
 from pipeline.capture.points import SessionMaker
-from pipeline.capture.preflight_npz import decode_keypoints, decode_session, encode_keypoints, encode_session
+from pipeline.capture.preflight_npz import decode_keypoints, decode_session
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import FrameTimes
 from pipeline.core.data.laboratory import Laboratory
@@ -23,6 +23,7 @@ from pipeline.video.properties.container_clocks import timecode_s
 from tests.pipeline.motion.gait.walks import exercise
 from tests.pipeline.motion.laboratory.simulated_plates import c3d_bytes, plates_m, simulated
 from tests.pipeline.motion.skeleton.observed import ring_of
+from tests.records import encode_record
 
 ACT = exercise(Gesture.JUMP)
 PLATES = simulated(ACT, 0.0, 1.0, plates_m(ACT, ((0.2, 0.0),)))
@@ -106,7 +107,7 @@ def test_timecode_beside_a_video(tmp_path: Path) -> None:
     path.write_bytes(c3d_bytes(PLATES, {"TRIAL": {"TIMECODE": ["00:00:00:02"]}}))
     for clock in ("timecode", "auto"):
         given = with_laboratory(filmed, path, clock)
-        stored = decode_session(encode_session(given), tmp_path).laboratory
+        stored = decode_session(encode_record(given), tmp_path).laboratory
         for laboratory in (given.laboratory, stored):
             assert laboratory is not None
             assert laboratory.start is not None
@@ -177,7 +178,7 @@ def test_mutated_plates_are_read_or_refused_with_a_sentence(tmp_path: Path) -> N
 def test_record_of_a_session_holds_the_laboratory(tmp_path: Path) -> None:
     (tmp_path / "trial.c3d").write_bytes(c3d_bytes(with_channel("Trigger", trigger())))
     given = with_laboratory(session(), tmp_path / "trial.c3d", place=(1.0, 0.0, 0.0, 30.0))
-    found, expected = decode_keypoints(encode_keypoints(given)).laboratory, given.laboratory
+    found, expected = decode_keypoints(encode_record(given)).laboratory, given.laboratory
     assert found is not None
     assert expected is not None
     np.testing.assert_array_equal(found.samples, expected.samples)
@@ -185,8 +186,8 @@ def test_record_of_a_session_holds_the_laboratory(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plate_corners_m(found), plate_corners_m(expected))
     assert found.start == expected.start
     assert found.texts("ANALOG", "LABELS") == expected.texts("ANALOG", "LABELS")
-    assert encode_keypoints(decode_keypoints(encode_keypoints(given))) == encode_keypoints(given)
-    assert decode_keypoints(encode_keypoints(session())).laboratory is None
+    assert encode_record(decode_keypoints(encode_record(given))) == encode_record(given)
+    assert decode_keypoints(encode_record(session())).laboratory is None
 
 
 def test_channels_that_result_files_can_not_hold_are_refused(tmp_path: Path) -> None:
@@ -201,7 +202,7 @@ def test_record_leaves_out_parameters_of_unprintable_names(tmp_path: Path) -> No
     analog = {"ANALOG": {"A\0B": np.ones(3, "f4"), "A\0C": np.zeros(3, "f4"), "GAIN": np.ones(2, "f4")}}
     (tmp_path / "trial.c3d").write_bytes(c3d_bytes(PLATES, analog))
     given = with_laboratory(session(), tmp_path / "trial.c3d")
-    found = decode_keypoints(encode_keypoints(given)).laboratory
+    found = decode_keypoints(encode_record(given)).laboratory
     assert found is not None
     assert "GAIN" in found.groups["ANALOG"]
     assert all(name.isprintable() for name in found.groups["ANALOG"])

@@ -24,7 +24,7 @@ from multicap import (
 from pipeline.capture.point_files.point_names import find_joints, hip_centers_m, pelvis_points
 from pipeline.capture.point_files.read_points import answer, nearest_rotations, point_readers, read_table
 from pipeline.capture.points import read_names
-from pipeline.capture.preflight_npz import decode_points, encode_points
+from pipeline.capture.preflight_npz import decode_points
 from pipeline.core.options.edits import Describe, PersonAt
 from pipeline.core.runtime.npz import decode_arrays
 from pipeline.motion.angles.compute import joint_angles, segments_from
@@ -33,6 +33,7 @@ from pipeline.motion.skeleton.model import INDEX, forward_kinematics
 from pipeline.validation.simulation.scenes import find_scene, record
 from tests.pipeline.capture.point_files.mutations import mutated
 from tests.pipeline.simulations import write_simulation
+from tests.records import encode_record
 
 
 @pytest.fixture(scope="module")
@@ -491,7 +492,7 @@ def test_rotations_of_c3d_are_the_skeletons(take: Path, tmp_path: Path) -> None:
 
 def test_record_of_service_keeps_the_session(take: Path) -> None:
     session = Session.from_files([take / "person-1.c3d"])
-    again = decode_points(encode_points(session))
+    again = decode_points(encode_record(session))
     assert asdict(again.timebase) == asdict(session.timebase)
     assert (again.joints, again.findings) == (session.joints, session.findings)
     for name, array in session.people[0].joint_arrays.items():
