@@ -17,9 +17,11 @@ from pipeline.motion.skeleton.model import INDEX, SKELETON
 from pipeline.run.live.outputs.datagrams import DatagramOutput
 from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.poses import person_colour, person_name, product, rest_joints_m, world_rotations
+from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.outputs.vmc import unity_position, unity_rotation
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 
+_MAX_ACTORS = 32
 _HALF = np.sqrt(0.5)
 _HIPS, _TRUNK, _SHOULDER = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, _HALF, -_HALF)
 _ARM, _LEG, _FOOT = (-0.5, -0.5, 0.5, -0.5), (0.0, _HALF, 0.0, _HALF), (0.0, _HALF, -_HALF, 0.0)
@@ -84,12 +86,14 @@ class RokokoOutput(DatagramOutput):
     def __init__(self, start: OutputStart) -> None:
         super().__init__(start)
         self._rate_hz = start.rate_hz
+        self._slots = PersonSlots(_MAX_ACTORS)
         self._first_s: float | None = None
         self._has_people = False  # In the last frame
 
     def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
         """See ``DatagramOutput``. A frame without people follows the last one with them."""
-        people = [(person, person.skeleton) for person in instant.people if person.skeleton is not None]
+        slots = self._slots.update(instant)
+        people = [(person, person.skeleton) for person in slots if person and person.skeleton]
         if people or self._has_people:
             self._first_s = instant.time_s if self._first_s is None else self._first_s
             self._has_people = bool(people)

@@ -110,7 +110,10 @@ def test_time_counts_from_first_frame() -> None:
 
 
 def test_frame_without_people_follows_the_last_one() -> None:
+    """A person who is out of sight keeps the last pose for two seconds."""
     person = LivePerson(2, live_instant([1]).people[0].xyz_m, None)
-    empty = LiveInstant(2.0, (), 0.0)
-    frames = sent(empty, live_instant([1]), LiveInstant(1.0, (person,), 0.0), empty)
-    assert [len(frame["scene"]["actors"]) for frame in frames] == [1, 0]
+    gone = [LiveInstant(time_s, (), 0.0) for time_s in (1.0, 13.0, 15.0, 16.0)]
+    frames = sent(gone[0], live_instant([1], 12.25), gone[1], gone[2], LiveInstant(15.5, (person,), 0.0), gone[3])
+    assert [len(frame["scene"]["actors"]) for frame in frames] == [1, 1, 0]
+    bones = [frame["scene"]["actors"][0]["body"] for frame in frames[:2]]
+    assert bones[0] == bones[1]
