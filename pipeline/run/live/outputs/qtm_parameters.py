@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+import numpy as np
+
 from pipeline.motion.skeleton.model import find_skeleton, parent_indices, rest_offsets_m
 from pipeline.run.live.outputs.poses import FACING_Y, in_segments, person_colour, person_name, rest_joints_m
 from pipeline.run.live.records import LiveInstant, LiveSkeleton
@@ -135,7 +137,7 @@ class Parameters:
             if known is None and len(self.skeletons) == _MAX_LISTED:
                 gone = min(self._seen_s, key=self._seen_s.__getitem__)
                 del self.skeletons[gone], self._seen_s[gone]
-            if known is None or known.bone_length_m is not person.skeleton.bone_length_m:
+            if known is None or not np.array_equal(known.bone_length_m, person.skeleton.bone_length_m):
                 self._texts.clear()
             is_changed |= known is None
             self.skeletons[person.id], self._seen_s[person.id] = person.skeleton, instant.time_s
