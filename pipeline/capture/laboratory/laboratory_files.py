@@ -21,7 +21,7 @@ from pipeline.core.options.job_choices import Up
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import LABORATORY_READ
 from pipeline.core.problems.session_codes import LABORATORY_CLOCK, LABORATORY_UNREADABLE
-from pipeline.motion.laboratory.plates import UNITS_M, force_plates, plate_corners_m
+from pipeline.motion.laboratory.plates import UNITS_M, force_plates, plate_axes, plate_corners_m
 from pipeline.video.frame_rate import without_rounding
 from pipeline.video.properties.container_clocks import timecode_s
 
@@ -76,7 +76,7 @@ def with_laboratory(
     channels = f"{laboratory.samples.shape[1]} channels at {laboratory.sample_rate_hz:g} Hz"
     message = f"{path.name} has {channels}, {num_plates} force plates and {len(laboratory.events)} events; {told}"
     if num_plates < num_corners:
-        message += f" {num_corners - num_plates} force plates are not read: of another type, or corners at one place."
+        message += f" {num_corners - num_plates} force plates are not read: of another type, or without corners."
     evidence = {"file": path.name, "clock": clock if start is None else start.clock, "num_plates": num_plates}
     finding = Finding(LABORATORY_READ, message, severity="info", evidence=evidence)
     return replace(session, laboratory=replace(laboratory, start=start), findings=(*session.findings, finding))
@@ -129,13 +129,11 @@ def _world(laboratory: Laboratory, place: Sequence[float] | None, up: Up) -> Rig
     """Pose of the laboratory's axes: the calibration's axes, or others in which plates lie, and a stated place."""
     x_m, y_m, z_m, yaw_deg = place or (0.0, 0.0, 0.0, 0.0)
     turn = Rotation.from_euler("z", yaw_deg, degrees=True).as_matrix()
-    corners_m = plate_corners_m(laboratory)
-    normal = np.cross(corners_m[:, 0] - corners_m[:, 2], corners_m[:, 1] - corners_m[:, 3]).sum(0)
+    normals = np.array([plate_axes(corners_m)[:, 2] for corners_m in plate_corners_m(laboratory)]).reshape(-1, 3)
+    normal = np.nansum(normals, axis=0)
     length = float(np.linalg.norm(normal))
-    if len(corners_m) and not 0.0 < length < np.inf:
-        raise ValueError
     axes: list[str] = [up] if up in {"z", "-z"} else [up, "z"]
-    level = [axis for axis in [*axes, "y", "x"] if not len(corners_m) or abs(normal @ AXES[axis]) > _LEVEL * length]
+    level = [axis for axis in [*axes, "y", "x"] if abs(normal @ AXES[axis]) >= _LEVEL * length]
     upright = turn_upright(AXES[level[0] if level else up])
     return Rigid3(turn @ upright, np.array([x_m, y_m, z_m]))
 

@@ -33,7 +33,7 @@ _POINTS: Mapping[str, str] = {
     "knee": "Lfeo Lshank4x4 LEFTleg LEFTlowerleg lowerlegL calfL shinL Lkjc Lkneejoint "
     "| Lkne+Lknem Lkne+Lknm Lkne+Lmkne Lkne+Lkni Lkne+Lknein Lknel+Lknem Lknee+Lmknee Lknee+Lkneemedial "
     "Lkneelat+Lkneemed Lkneeout+Lkneein Lfle+Lfme Llfc+Lmfc Llkn+Lmkn "
-    "Lkne Lkneelat Lkneeout Lfle Llfc Llepi Lknel Lknee",
+    "Lkne Lkneelat Lkneeout Lfle Llfc Llepi Lknel Lknee Lknee1",
     "ankle": "Ltio Lfoot4x4 LEFTfoot footL Lajc Lanklejoint "
     "| Lank+Lankm Lank+Lmed Lank+Lmma Lank+Lankin Lankle+Lmankle Lankle+Lanklemedial Lanklelat+Lanklemed "
     "Lankleout+Lanklein Lfal+Ltam Llmal+Lmmal Lmall+Lmalm Llak+Lmak "

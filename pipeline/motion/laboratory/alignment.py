@@ -149,7 +149,7 @@ def _support(
         marks = [f"{name}_{part}" for part in ("heel", "big_toe") if f"{name}_{part}" in joints.names]
         columns = [joints.index(mark) for mark in marks or [f"{name}_ankle"] if mark in joints.names]
         if columns and plates:
-            place_m = np.nan_to_num(track.xyz_m[:, columns, :2].mean(1), nan=np.inf)
+            place_m = np.nan_to_num(track.xyz_m[:, columns, :2].mean(1), nan=1e9)  # far from every plate
             inside_m = np.stack(
                 [margins_of(np.broadcast_to(plate.corners_m[:, :2], (num_rows, 4, 2)), place_m) for plate in plates]
             )

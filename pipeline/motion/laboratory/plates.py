@@ -20,6 +20,8 @@ UNITS_M: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 LOADED_N = 20.0
 """Vertical force from which on a plate is loaded."""
 
+# Files have left-over bytes as corners of plates that were not there.
+_LARGEST_M = 20.0
 _NUM_CHANNELS = {1: 6, 2: 6, 3: 8, 4: 6, 5: 8}
 
 
@@ -31,12 +33,12 @@ def plate_corners_m(laboratory: Laboratory) -> Float[np.ndarray, "plates 4 3"]:
 
 
 def force_plates(laboratory: Laboratory) -> tuple[ForcePlate, ...]:
-    """Plates of a laboratory whose types are known and whose corners are apart, in the file's order."""
+    """Plates of a laboratory whose types are known and whose corners are a plate's, in the file's order."""
     types = laboratory.numbers("FORCE_PLATFORM", "TYPE").astype(int)
     return tuple(
         _plate(laboratory, number, int(types[number]), corners_m)
         for number, corners_m in enumerate(plate_corners_m(laboratory))
-        if int(types[number]) in _NUM_CHANNELS and np.isfinite(_axes(corners_m)).all()
+        if int(types[number]) in _NUM_CHANNELS and np.isfinite(plate_axes(corners_m)).all()
     )
 
 
@@ -59,7 +61,7 @@ def _plate(laboratory: Laboratory, number: int, kind: int, corners_m: Float[np.n
         factor = np.array([_length_m(units[column], own) for column in columns])
         values = values * [[1000.0 if units[column].lower().startswith("kn") else 1.0] for column in columns]
     force, moment = _force_and_moment(kind, values, factor, origin_m)
-    axes = _axes(corners_m)
+    axes = plate_axes(corners_m)
     force_n, moment_nm = force.T @ axes.T, moment.T @ axes.T
     loaded = np.abs(force_n[:, 2]) > LOADED_N
     if force_n[loaded, 2].sum() < 0.0:
@@ -105,9 +107,9 @@ def _force_and_moment(
     return force, moment - np.cross(to_surface, force, axisb=0).T
 
 
-def _axes(corners_m: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "3 3"]:
-    """Axes of a plate in the world, by columns; NaN if the corners span no area."""
-    first, second, third, fourth = corners_m
+def plate_axes(corners_m: Float[np.ndarray, "4 3"]) -> Float[np.ndarray, "3 3"]:
+    """Axes of a plate in the world, by columns; NaN if the corners span no area, or are numbers of another kind."""
+    first, second, third, fourth = np.where(np.ptp(corners_m, 0).max() < _LARGEST_M, corners_m, np.nan)
     x, y = first + fourth - second - third, first + second - third - fourth
     z = np.cross(x, y)
     with np.errstate(invalid="ignore"):

@@ -132,6 +132,17 @@ def test_place_turns_and_moves_the_plates(tmp_path: Path) -> None:
     np.testing.assert_allclose(corners_m, turned_m, atol=1e-6)
 
 
+def test_left_over_bytes_as_corners_turn_no_plates(tmp_path: Path) -> None:
+    plates = PLATES.groups["FORCE_PLATFORM"]
+    bytes_mm = np.array([(-5.9e10, 0.0, 0.0), (0.0, 0.0, 9.0e15), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
+    corners_mm = np.concatenate([np.array(plates["CORNERS"]).reshape(-1, 4, 3), [bytes_mm]])
+    count = np.array([len(corners_mm)], "u2")
+    doubled = {name: np.concatenate([plates[name]] * 2) for name in ("TYPE", "ORIGIN", "CHANNEL")}
+    more = {**plates, **doubled, "USED": count, "CORNERS": corners_mm.astype("f4")}
+    laboratory = read(tmp_path, replace(PLATES, groups={**PLATES.groups, "FORCE_PLATFORM": more}))
+    np.testing.assert_allclose(laboratory.world_from_laboratory.rotation, np.eye(3), atol=1e-9)
+
+
 def test_plates_of_a_world_with_y_up_lie_on_the_floor(tmp_path: Path) -> None:
     plates = PLATES.groups["FORCE_PLATFORM"]
     corners = np.asarray(plates["CORNERS"])[..., [0, 2, 1]] * [1.0, 1.0, -1.0]

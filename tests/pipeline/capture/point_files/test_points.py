@@ -170,6 +170,7 @@ SETS = {
     "rajagopal": "RACR RLEL RMEL RFAradius RFAulna RASI RPSI RLFC RMFC RLMAL RMMAL RCAL RTOE",
     "opencap": "r_shoulder_study r_lelbow_study r_melbow_study r_lwrist_study r_mwrist_study r.ASIS_study r.PSIS_study "
     "r_knee_study r_mknee_study r_ankle_study r_mankle_study r_calc_study r_toe_study",
+    "davis": "r.should R.Elbow R.Wrist r.asis V.Sacral r.knee.1 r.mall r.heel R.Toe",
     "cmu": "RSHO RELB RWRA RWRB RFWT RBWT RKNE RANK RHEE RTOE",
     "qualisys animation": "RShoulderTop RElbowOut RElbowIn RWristOut RWristIn WaistRFront WaistRBack RKneeOut RKneeIn "
     "RAnkleOut RHeelBack RToeTip",

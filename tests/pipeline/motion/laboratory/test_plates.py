@@ -145,10 +145,13 @@ def test_unit_of_thousands_of_newtons_is_honoured() -> None:
     np.testing.assert_allclose(plate.centre_of_pressure_m[15], PLACE_M + MIDDLE_M, atol=1e-5)
 
 
-def test_plate_of_corners_at_one_place_is_left_out() -> None:
+@pytest.mark.parametrize(
+    "elsewhere_mm", [np.zeros((4, 3)), np.diag([-5.9e10, 9.0e15, 3.0, 1.0])[:, :3]], ids=["place", "left-over bytes"]
+)
+def test_plate_without_corners_is_left_out(elsewhere_mm: np.ndarray) -> None:
     changed: dict[str, Any] = {"USED": np.array([2], "u2"), "TYPE": np.array([2, 2], "u2")}
     changed |= {name: np.repeat(plate_of(2).numbers("FORCE_PLATFORM", name), 2, 0) for name in ("ORIGIN", "CHANNEL")}
-    corners = np.stack([np.zeros((4, 3)), CORNERS_M * 1000.0]).astype("f4")
+    corners = np.stack([elsewhere_mm, CORNERS_M * 1000.0]).astype("f4")
     (plate,) = force_plates(plate_of(2, CORNERS=corners, **changed))
     np.testing.assert_allclose(plate.corners_m, CORNERS_M, atol=1e-6)
 
