@@ -15,6 +15,7 @@ from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.core.runtime import large_arrays
 from pipeline.geometry.tracks import reproject
+from pipeline.motion.skeleton.fitting import uncertainty
 from pipeline.motion.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine, start_from
 from pipeline.motion.skeleton.fitting.landmark_evidence import LandmarkEvidence
@@ -23,7 +24,6 @@ from pipeline.motion.skeleton.fitting.liveliness import liveliness
 from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_positions, stretches, usual_step_m
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.fitting.solve import solve_pose
-from pipeline.motion.skeleton.fitting.uncertainty import uncertainty_m
 from pipeline.motion.skeleton.landmarks import Landmarks, bone_lengths_m
 from pipeline.motion.skeleton.marks import (
     centers_from_marks,
@@ -222,6 +222,14 @@ class SkeletonFit:
             contacts=(),
         )
 
+    def _stated_m(self, bodies: JointPoses, evidence: LandmarkEvidence) -> Float[np.ndarray, "frames landmarks"]:
+        """Standard deviation of each landmark of a window, in metres."""
+        of_noise = uncertainty.NETWORK_LASTING if self._offsets else uncertainty.SIMULATED_LASTING
+        rate_hz = self._timebase.frame_rate_hz
+        stated_m = uncertainty.uncertainty_m(bodies, self._skeleton, evidence, rate_hz, of_noise)
+        share = evidence.disagreement(landmark_positions(bodies, self._skeleton))
+        return np.hypot(stated_m, uncertainty.disagreement_m(share))
+
     def _start(self, rows: slice) -> JointPoses:
         """Pose that the joints of a window suggest."""
         landmarks = Landmarks(self._track.xyz_m[rows], self._track.source[rows], self._joints)
@@ -344,7 +352,7 @@ class SkeletonFit:
                 self._damping,
             )
             if sigma_m is not None:
-                sigma_m.add(rows, uncertainty_m(bodies, self._skeleton, evidence, self._timebase.frame_rate_hz))
+                sigma_m.add(rows, self._stated_m(bodies, evidence))
             root_m.add(rows, bodies.root_m)
             quat.add(rows, _same_signs(bodies.quat_xyzw(), self._quat[rows.start] if rows.start else None))
             # Blended quaternions are not of length 1.

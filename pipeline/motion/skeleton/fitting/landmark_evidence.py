@@ -41,3 +41,13 @@ class LandmarkEvidence:
             for number, joint in enumerate(self.landmark.tolist()):
                 precision[:, number] += self.rays.precision(joint, landmark_m[:, number], SCALES_M[-1])
         return np.asarray(precision)
+
+    def disagreement(
+        self, landmark_m: Float[np.ndarray, "frames landmarks 3"]
+    ) -> Float[np.ndarray, "frames landmarks"]:
+        """Share of the views of each landmark that its position (metres) does not explain; 0 without views."""
+        share = np.zeros(landmark_m.shape[:2])
+        if self.rays is not None:
+            for number, joint in enumerate(self.landmark.tolist()):
+                share[:, number] = self.rays.disagreement(joint, landmark_m[:, number], SCALES_M[-1])
+        return share

@@ -77,6 +77,13 @@ class Rays:
         noise = (residual + _NUM_PROMISED) / (int(counted.sum()) + _NUM_PROMISED)
         return self._summed(joint, robust)[0] / noise
 
+    def disagreement(
+        self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
+    ) -> Float[np.ndarray, " frames"]:
+        """Share of a joint's views, by their weights, that its position does not explain: the mean of GM(d; c)."""
+        weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)
+        return np.asarray((weight * off_m2 / (off_m2 + scale_m**2)).sum(1) / np.maximum(weight.sum(1), 1e-9))
+
     def residuals(
         self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
     ) -> tuple[Float[np.ndarray, " frames"], Int[np.ndarray, " frames"]]:

@@ -3,7 +3,7 @@
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from pipeline.core.joints import JointSet
 from pipeline.core.problems.finding_codes import DATASET_INCOMPLETE, TRUTH_UNREADABLE
 from pipeline.export.privacy.heads import FACE, head_path, head_regions
 from pipeline.geometry.camera import project
-from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy, select_joints
+from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, UNMATCHED, accuracy, match_frames, select_joints
 
 _TRUTH_FILE = "gt.npz"
 _KEYS = ("joints", "names", "time")
@@ -75,15 +75,30 @@ def score_rendered(
     """Score tracks on the twelve body joints by the metrics of ``pipeline.validation.evaluation.mpjpe``.
 
     Each instant of the truth is compared with the nearest output frame within half a period. An instant without such a
-    frame has no predictions. Returns ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; ``None``
-    for a figure without data.
+    frame has no predictions. Returns ``mpjpe_mm``, ``pck150``, ``recall``, ``switches`` and ``ghost_rate``; and
+    ``uncertainty_z``, the root mean square of errors over stated standard deviations. ``None`` for a figure without
+    data.
     """
     position = np.rint((truth.time_s - timebase.start_time_s) * timebase.frame_rate_hz)
     inside = (position >= 0) & (position < timebase.num_frames)
     frames = np.where(inside, position, -1).astype(np.int64)
     columns = [truth.names.index(name) for name in BODY_JOINTS]
     predicted_m = select_joints(tracks, joints, BODY_JOINTS, frames)
-    return asdict(accuracy(predicted_m, truth.xyz_m[:, :, columns], GATE_M))
+    truth_m = truth.xyz_m[:, :, columns]
+    ratio = None
+    stated = [
+        replace(track, xyz_m=np.stack([track.uncertainty_m] * 3, axis=-1))
+        for track in tracks
+        if track.uncertainty_m is not None
+    ]
+    if stated and len(stated) == len(tracks):
+        stated_m = select_joints(stated, joints, BODY_JOINTS, frames)
+        matched = match_frames(predicted_m, truth_m, GATE_M)
+        people, instants = np.nonzero(matched != UNMATCHED)
+        found = matched[people, instants], instants
+        ratios = (predicted_m[found] - truth_m[people, instants]) / stated_m[found]
+        ratio = float(np.sqrt(np.nanmean(ratios**2))) if np.isfinite(ratios).any() else None
+    return asdict(accuracy(predicted_m, truth_m, GATE_M)) | {"uncertainty_z": ratio}
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, np.ndarray], list[Problem]]:

@@ -70,9 +70,21 @@ def test_scores_have_documented_keys_and_values(tmp_path: Path) -> None:
     truth = load_rendered(write_capture(tmp_path, arrays))
     tracks = tracks_of(arrays)
     scores = score_rendered(tracks[:1], COCO_17, Timebase(0.0, 25.0, 10), truth)
-    assert list(scores) == ["mpjpe_mm", "pck150", "recall", "switches", "ghost_rate"]
+    assert list(scores) == ["mpjpe_mm", "pck150", "recall", "switches", "ghost_rate", "uncertainty_z"]
+    assert scores["uncertainty_z"] is None
     assert scores["mpjpe_mm"] == pytest.approx(0.0, abs=1e-4)
     assert (scores["pck150"], scores["recall"], scores["switches"], scores["ghost_rate"]) == (0.5, 0.5, 0, 0.0)
+
+
+def test_uncertainty_z_is_ratio_of_errors_to_stated_deviations(tmp_path: Path) -> None:
+    arrays = truth_arrays()
+    truth = load_rendered(write_capture(tmp_path, arrays))
+    arrays["joints"] += np.array([0.0, 0.0, 0.03], np.float32)
+    stated_m = np.full(arrays["joints"].shape[1:3], 0.01)
+    stated_m[:, :5] = 1.0  # the face does not count
+    tracks = [replace(track, uncertainty_m=stated_m) for track in tracks_of(arrays)]
+    scores = score_rendered(tracks, COCO_17, Timebase(0.0, 25.0, 10), truth)
+    assert scores["uncertainty_z"] == pytest.approx(np.sqrt(3.0), rel=1e-3)
 
 
 def test_face_does_not_count(tmp_path: Path) -> None:

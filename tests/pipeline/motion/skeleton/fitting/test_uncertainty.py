@@ -10,13 +10,24 @@ from pipeline.association.tracking.track_people import reconstruct_tracks
 from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.animation import Animation
 from pipeline.core.data.people import Observations, Source, Track3D
-from pipeline.core.joints import COCO_17
+from pipeline.core.joints import COCO_17, MARKED_AT_CENTERS, JointOffset
 from pipeline.core.options.config import ReconstructionConfig, Smoothing
+from pipeline.geometry.camera import project
 from pipeline.motion.skeleton import time_series
 from pipeline.motion.skeleton.animate import animate
 from pipeline.motion.skeleton.fitting.articulation import Articulation, articulate
 from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, Posed, start_from
-from pipeline.motion.skeleton.fitting.uncertainty import _FLOOR_M, _INERTIA, _LASTING, _priors, uncertainty_m
+from pipeline.motion.skeleton.fitting.landmark_evidence import LandmarkEvidence
+from pipeline.motion.skeleton.fitting.rays import Rays
+from pipeline.motion.skeleton.fitting.uncertainty import (
+    _FLOOR_M,
+    _INERTIA,
+    NETWORK_LASTING,
+    SIMULATED_LASTING,
+    _priors,
+    disagreement_m,
+    uncertainty_m,
+)
 from pipeline.motion.skeleton.model import SKELETON
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, match_frames, select_joints
 from pipeline.validation.simulation.scenes import Simulation, find_scene, record
@@ -126,7 +137,7 @@ def test_one_frame_has_covariance_of_its_normal_equations() -> None:
         moving[landmark][:, skeleton.moved_by[landmark, :count]] = jacobian[landmark, :count].T
     curvature = np.diag(_priors(skeleton)) + 1e4 * np.einsum("lai,laj->ij", moving, moving)
     variance_m2 = np.einsum("lai,ij,laj->l", moving, np.linalg.inv(curvature), moving) / 3
-    expected_m = np.sqrt(_LASTING**2 * variance_m2 + _FLOOR_M**2)
+    expected_m = np.sqrt(SIMULATED_LASTING**2 * variance_m2 + _FLOOR_M**2)
     found_m = uncertainty_m(bodies, skeleton, Even(np.array([1e4])), RATE_HZ)
     np.testing.assert_allclose(found_m[0], expected_m, rtol=1e-9)
     assert (_priors(skeleton) >= _INERTIA).all()
@@ -142,3 +153,33 @@ def test_uncertainty_grows_where_evidence_ends() -> None:
     # Neighbours in time help: a frame by itself is less certain.
     alone, _ = t_pose(1)
     assert uncertainty_m(alone, skeleton, Even(np.array([1e4])), RATE_HZ).mean() > 1.2 * found_m[20]
+
+
+def test_disagreement_is_weight_of_views_that_show_another_place() -> None:
+    cameras = taken("room", 4, 2.0)[0].cameras
+    place_m, elsewhere_m = np.array([[[0.1, 0.2, 1.0]]]), np.array([[[0.1, 1.2, 2.0]]])
+    shown_m = [place_m, place_m, elsewhere_m, place_m]
+    points_px = np.stack([project(camera, xyz_m[0]) for camera, xyz_m in zip(cameras, shown_m, strict=True)])[None]
+    points_px = np.repeat(points_px, len(COCO_17.names), axis=2)
+    score = np.full(points_px.shape[:3], 0.8)
+    score[:, 3] = 0.0  # a view that sees nothing does not disagree
+    evidence = LandmarkEvidence(
+        Rays(cameras, points_px, score, COCO_17), np.array([0, 5]), np.zeros((1, 2, 3)), np.zeros((1, 2, 3))
+    )
+    at_m = np.concatenate([place_m, elsewhere_m], axis=1)
+    np.testing.assert_allclose(evidence.disagreement(at_m), [[1 / 3, 2 / 3]], atol=0.02)
+    assert not replace(evidence, rays=None).disagreement(at_m).any()
+    stated_m = disagreement_m(np.array([[0.0, 0.1, 1.0]]))
+    np.testing.assert_allclose(stated_m, [[0.0, 0.2 * 0.1**1.5, 0.2]])
+
+
+def test_networks_with_offsets_state_their_lasting_errors() -> None:
+    simulation, (tracks, seen) = taken("room", 4, 2.0)
+    cameras, timebase, joints = simulation.cameras, simulation.timebase, simulation.joints
+    ratios = []
+    for offsets in (MARKED_AT_CENTERS, {"hip": JointOffset(up=1e-9)}):
+        found = animate(tracks, seen, cameras, timebase, joints, ReconstructionConfig(), offsets=offsets)
+        stated_m = found.tracks[0].uncertainty_m
+        assert stated_m is not None
+        ratios.append(np.nanmedian(stated_m))
+    assert ratios[1] / ratios[0] == pytest.approx(NETWORK_LASTING / SIMULATED_LASTING, rel=0.1)
