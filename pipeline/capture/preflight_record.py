@@ -5,9 +5,10 @@ workers read it. So this module needs nothing but the standard library.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from pipeline.core import records
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import Sync, Timeline
 
@@ -35,34 +36,16 @@ class PreflightCamera:
     num_frames: int  # Number of its own frames, as against the output frames of the session
     start_time_s: float = 0.0  # Time of its first frame on the session's clock
     # Media type as which browsers play the video, at the times that the session uses; ``None`` if some don't, and for
-    # keypoints and sessions of older versions
+    # keypoints
     media_type: str | None = None
     media_start_s: float = 0.0  # Time of the first frame on the clock of the video file, which players show
-    # Small copies of a few pictures, ascending in time; none of keypoints, and in records of earlier versions. Their
-    # places are the numbers in the evidence ``pictures`` of findings.
+    # Small copies of a few pictures, ascending in time; none of keypoints. Their places are the
+    # numbers in the evidence ``pictures`` of findings.
     thumbnails: tuple[PreflightThumbnail, ...] = ()
     more_files: tuple[str, ...] = ()  # Names of further files with the camera's video, whose parts they are, in order
-    # Bodies in all frames of keypoints, and joints of a body; ``None`` of videos and in records of earlier versions
+    # Bodies in all frames of keypoints, and joints of a body; ``None`` of videos
     num_bodies: int | None = None
     num_joints: int | None = None
-
-    @classmethod
-    def from_json(cls, document: Any) -> "PreflightCamera":
-        """Read a parsed JSON object."""
-        thumbnails = tuple(PreflightThumbnail(**thumbnail) for thumbnail in document.get("thumbnails", ()))
-        more_files = tuple(document.get("more_files", ()))
-        changed = {"size_px": tuple(document["size_px"]), "thumbnails": thumbnails, "more_files": more_files}
-        return cls(**{**document, **changed})
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON object; counts of keypoints are left out of videos."""
-        counts = {"num_bodies", "num_joints"}
-        return {
-            **{name: value for name, value in asdict(self).items() if value is not None or name not in counts},
-            "size_px": list(self.size_px),
-            "thumbnails": [asdict(thumbnail) for thumbnail in self.thumbnails],
-            "more_files": list(self.more_files),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +67,6 @@ class PreflightRecording:
     frame_rate_hz: float | None = None
     more_files: tuple[str, ...] = ()
     offset_std_s: float | None = None
-
-    def to_json(self) -> dict[str, Any]:
-        """JSON object; an uncertainty that is not stated leaves it as it was before it could be stated."""
-        facts = asdict(self)
-        if self.offset_std_s is None:
-            del facts["offset_std_s"]
-        return facts
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,51 +125,18 @@ class Preflight:
 
     @classmethod
     def from_json(cls, document: Any) -> "Preflight":
-        """Read a parsed JSON object; keys that older versions did not write get their defaults.
-
-        Raises ``ValueError`` if the object is no preflight record.
-        """
+        """Read a parsed JSON object. Raises ``ValueError`` if it is no preflight record."""
         try:
-            timebase = PreflightTimebase(**document["timebase"])
-            return cls(
-                cameras=tuple(PreflightCamera.from_json(camera) for camera in document["cameras"]),
-                timebase=timebase,
-                # Older versions worked on all frames.
-                stretches=tuple(range(*stretch) for stretch in document.get("stretches", [[0, timebase.num_frames]])),
-                recordings=tuple(
-                    PreflightRecording(**{**recording, "more_files": tuple(recording.get("more_files", ()))})
-                    for recording in document.get("recordings", ())
-                ),
-                units=document.get("units", "m"),
-                up=document.get("up", "z"),
-                findings=tuple(Finding.from_json(finding) for finding in document.get("findings", ())),
-                clock=document.get("clock", "declared"),
-                sync=document.get("sync", "declared"),
-                timeline=document.get("timeline", "take"),
-                layout=LayoutRead(**document["layout"]) if document.get("layout") else None,
-                names=document.get("names", {}),
-                laboratory=document.get("laboratory", {}),
-            )
-        except (AttributeError, KeyError, TypeError) as error:
+            return records.from_json(cls, document or {})
+        except (KeyError, TypeError) as error:
             raise ValueError("the document is no preflight record") from error
 
     def to_json(self) -> dict[str, Any]:
-        """JSON object, whose keys are always in the same order."""
-        return {
-            "cameras": [camera.to_json() for camera in self.cameras],
-            "timebase": asdict(self.timebase),
-            "stretches": [[stretch.start, stretch.stop] for stretch in self.stretches],
-            "recordings": [recording.to_json() for recording in self.recordings],
-            "units": self.units,
-            "findings": [finding.to_json() for finding in self.findings],
-            "clock": self.clock,
-            "sync": self.sync,
-            "timeline": self.timeline,
-            "up": self.up,
-            **({} if self.layout is None else {"layout": asdict(self.layout)}),
-            **({"names": dict(self.names)} if self.names else {}),
-            **({"laboratory": dict(self.laboratory)} if self.laboratory else {}),
-        }
+        """JSON object, whose keys are always in the same order; texts of findings are printable."""
+        document: dict[str, Any] = records.to_json(
+            self, lambda value, _: value.to_json() if isinstance(value, Finding) else value
+        )
+        return document
 
 
 def thumbnail_name(camera: int, number: int) -> str:

@@ -89,7 +89,7 @@ if videos and videos[0].read_bytes()[:5] == b"MILES":
     findings = [{"code": code, "message": "Check it.", "camera": None, "severity": "error", "hint": "Mend it.",
                  "evidence": {}} for code in ("world_unit", "upside_down")]
 print(json.dumps({"cameras": cameras, "timebase": {"start_time_s": 0.0, "frame_rate_hz": 25.0, "num_frames": 60},
-                  "findings": findings, "recordings": recordings}))
+                  "stretches": [[0, 60]], "findings": findings, "recordings": recordings}))
 """
 
 # Address without a broker: publishing fails at once, which is allowed.

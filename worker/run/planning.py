@@ -9,6 +9,7 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit
 from pipeline.core.options.job_choices import VisualChoices
+from pipeline.core.records import to_json
 from pipeline.run.engine.code import stage_codes
 from pipeline.run.engine.plan import STAGE_BY_NAME, PlannedStage, plan
 from pipeline.run.engine.stage import SessionFacts, Task
@@ -184,5 +185,5 @@ def _inputs(session: PlannableSession) -> tuple[str, ...]:
         return (*files, repr(session.preflight.timebase.frame_rate_hz))
     if (clock := session.preflight.clock) != "declared":
         files.append(clock)
-    stated = (json.dumps(recording.to_json(), sort_keys=True) for recording in session.preflight.recordings)
+    stated = (json.dumps(to_json(recording), sort_keys=True) for recording in session.preflight.recordings)
     return (*files, *sorted(stated))

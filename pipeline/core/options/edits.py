@@ -11,9 +11,11 @@ named, whoever it is after other edits.
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any, ClassVar, Literal, get_args
+
+from pipeline.core.records import from_json
 
 MAX_EDITS = 1000
 """Largest number of edits of a take."""
@@ -267,7 +269,9 @@ Correction = KeyJoint | IgnoreDetections | PlaceDetection | ExchangeSides | Cont
 PeopleEdit = Rename | Remove | Merge | Split | Exchange | Cut | Correction | Accept | Describe
 """An edit of people. All frames are frames of the session."""
 
-_BY_ACTION: Mapping[str, type[PeopleEdit]] = {str(fields(kind)[0].default): kind for kind in get_args(PeopleEdit)}
+_BY_ACTION: Mapping[str, Callable[..., PeopleEdit]] = {
+    str(fields(kind)[0].default): kind for kind in get_args(PeopleEdit)
+}
 
 
 def frames_of(correction: Correction | Accept) -> tuple[int, int]:
@@ -289,13 +293,7 @@ def without_names(edits: Sequence[PeopleEdit]) -> tuple[PeopleEdit, ...]:
 
 def read_edit(document: Mapping[str, Any]) -> PeopleEdit:
     """Edit from its JSON object, as ``edit_document`` makes it."""
-    people = {
-        name: PersonAt(frame=named["frame"], place_m=tuple(named["place_m"]))
-        for name in ("person", "other")
-        if isinstance(named := document.get(name), Mapping)
-    }
-    places = {name: tuple(document[name]) for name in ("place_m", "place_px", "left_m") if document.get(name)}
-    return _BY_ACTION[document["action"]](**{**document, **people, **places})
+    return from_json(_BY_ACTION[document["action"]], document)
 
 
 def edit_document(edit: PeopleEdit) -> dict[str, Any]:

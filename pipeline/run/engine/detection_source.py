@@ -19,7 +19,6 @@ from pipeline.detection.bodies import concatenate
 from pipeline.detection.damage import CheckedPictures, damaged_videos
 from pipeline.detection.entries import detection_joints, find_entry, mark_offsets
 from pipeline.detection.profiles.sizes import CameraLook
-from pipeline.run.engine.codec import output_records
 from pipeline.run.engine.stage import DETECT, LOOK, Context, FrameCut, Task
 from pipeline.run.engine.wanted_frames import require_kind
 from pipeline.video.timeline import frames_in
@@ -127,14 +126,14 @@ class _VideoDetections(DetectionSource):
 
     @property
     def turns_deg(self) -> Mapping[str, float]:
-        looks = output_records(self._context, LOOK, CameraLook)
+        looks = self._context.records(LOOK, CameraLook)
         return {name: look.turn_deg for name, look in zip(self._context.facts.camera_rates_hz, looks, strict=True)}
 
     def joints(self, session: Session) -> JointSet:
         return detection_joints(self._context.config)
 
     def bodies(self, session: Session, with_colours: bool = False) -> Mapping[str, Detections]:
-        chunks = output_records(self._context, DETECT, Detections)
+        chunks = self._context.records(DETECT, Detections)
         if with_colours:
             colours = map(decode_arrays, self._context.interim(DETECT))
             chunks = (replace(chunk, colour=arrays["colour"]) for chunk, arrays in zip(chunks, colours, strict=True))
@@ -147,8 +146,8 @@ class _VideoDetections(DetectionSource):
             numbers = self._ranges_taken_in(task, session, frames)
         tasks = slice(numbers.start * num_cameras, numbers.stop * num_cameras)
         if self.finds_fields:
-            return {fields.camera: fields for fields in output_records(context, DETECT, PafFields, tasks)}
-        return self._joined(require_kind(session, CaptureSession), output_records(context, DETECT, Detections, tasks))
+            return {fields.camera: fields for fields in context.records(DETECT, PafFields, tasks)}
+        return self._joined(require_kind(session, CaptureSession), context.records(DETECT, Detections, tasks))
 
     def near(self, task: Task, session: Session, frames: Sequence[range]) -> list[DetectionsByCamera]:
         return [

@@ -26,7 +26,6 @@ from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import OnFile, WrittenResults, no_file
 from pipeline.motion.body.installed import load as load_body
 from pipeline.run.engine.code import stage_codes
-from pipeline.run.engine.codec import output_records
 from pipeline.run.engine.local_tasks import FilesDestination, LocalJob, TaskPool, file_digest, run_stage, scratch_folder
 from pipeline.run.engine.methods import clustering_parameters, tracking_parameters
 from pipeline.run.engine.output_folder import OutputFolder, output_folder
@@ -195,7 +194,7 @@ def detect_people(
     with _planned(session, config, session_facts(session), {LOOK, DETECT}, None) as job:
         for stage in job.stages:
             run_stage(job, stage, on_progress)
-        chunks = output_records(job.context(), DETECT, Detections)
+        chunks = job.context().records(DETECT, Detections)
         names = [camera.name for camera in session.cameras]
         return concatenate(chunks, names, len(detection_joints(config).names))
 

@@ -7,10 +7,10 @@ from pipeline.core.data.animation import Animation, Floor
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.options.edits import edit_document
 from pipeline.core.progress import OnShare
+from pipeline.core.runtime.record_archive import RecordArchive, decode, encode
 from pipeline.motion.skeleton.animate import PersonFitter, animate
 from pipeline.motion.skeleton.corrections.correct import correct_person
 from pipeline.motion.skeleton.corrections.evidence import corrected_evidence
-from pipeline.run.engine.codec import RecordArchive, decode, encode
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
 from pipeline.run.engine.edited_people import applied_edits, renumbered, unchanged_from
 from pipeline.run.engine.pieces import Pieces

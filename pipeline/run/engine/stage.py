@@ -20,6 +20,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.progress import OnShare, in_units
+from pipeline.core.records import Kind
 from pipeline.core.runtime.resources import release_pages
 
 if TYPE_CHECKING:
@@ -205,6 +206,17 @@ class Context(ABC):
     def outputs(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         """Outputs of tasks of an earlier stage, in the tasks' order; by default of all tasks."""
 
+    def records(self, stage: str, kind: Callable[..., Kind], tasks: slice = slice(None)) -> Iterator[Kind]:
+        """Outputs of tasks of an earlier stage as the records that were encoded, in the tasks' order."""
+        from pipeline.core.runtime.record_archive import decode
+
+        return (decode(kind, content) for content in self.outputs(stage, tasks))
+
+    def record(self, stage: str, kind: Callable[..., Kind]) -> Kind:
+        """Output of the single task of an earlier stage as the record that was encoded."""
+        (record,) = self.records(stage, kind)
+        return record
+
     @abstractmethod
     def interim(self, stage: str, tasks: slice = slice(None)) -> list[bytes]:
         """Interim outputs of tasks of an earlier stage, like ``outputs``; see ``Stage.leaves_interim``."""
@@ -255,7 +267,7 @@ class ResultFile:
 class Output:
     """Output of a task."""
 
-    # Bytes that later stages read, or a file of them; see ``pipeline.run.engine.codec``
+    # Bytes that later stages read, or a file of them; see ``pipeline.core.runtime.record_archive``
     content: bytes | Path
     files: tuple[ResultFile, ...] = ()  # Result files, of the last stage only
     warnings: tuple[Finding, ...] = ()  # Findings about the results, for the last stage only

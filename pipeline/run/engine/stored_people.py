@@ -11,7 +11,7 @@ from pipeline.core.data.detections import DamagedVideo
 from pipeline.core.data.people import Doubt, Leftovers, Observations, People, PersonLoss, Track3D
 from pipeline.core.joints import JointSet
 from pipeline.core.options.edits import PersonSpan
-from pipeline.run.engine.codec import RecordArchive, save
+from pipeline.core.runtime.record_archive import RecordArchive, save
 from pipeline.run.engine.stage import Context
 
 _Record = TypeVar("_Record")

@@ -20,7 +20,6 @@ from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
 from pipeline.motion.body.installed import find as find_body
 from pipeline.run.engine import stage
-from pipeline.run.engine.codec import output_record, output_records
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
 from pipeline.run.engine.edited_people import applied_edits, cut, put_together, united
 from pipeline.run.engine.stored_people import found_people
@@ -42,7 +41,7 @@ def assemble(context: stage.Context) -> Reconstruction:
         changed, refitted = People((), ()), Animation((), (), animation.floor)
         if context.config.people_edits:
             changed = found_people(context, stage.EDIT).people
-            refitted = united(list(output_records(context, stage.REFIT, Animation)))
+            refitted = united(list(context.records(stage.REFIT, Animation)))
         of_people = people, animation, identified.spans, changed, refitted, take
         people, animation = put_together(*of_people, session.cameras, detection_source(context).joints(session))
     refined = refined_calibration(context)
@@ -61,7 +60,7 @@ def assemble(context: stage.Context) -> Reconstruction:
         offsets=joint_offsets(context),
         refinement=None if refined is None else refined.report,
         synchronization=measured_clocks(context),
-        check=SessionCheck() if context.facts.has_points else output_record(context, stage.CHECK, SessionCheck),
+        check=SessionCheck() if context.facts.has_points else context.record(stage.CHECK, SessionCheck),
         provider=context.provider if context.facts.has_videos else None,
         layout=None if session.layout is None else asdict(session.layout),
         subject=Subject(context.config.segments, context.config.sex, context.config.mass_kg),
@@ -125,7 +124,7 @@ def _subject(usual: Subject, person: EditedPerson) -> Subject:
 
 def found_animation(context: stage.Context) -> Animation:
     """Animation of everybody who was found, before any edit."""
-    return united(list(output_records(context, stage.HOLD, Animation)))
+    return united(list(context.records(stage.HOLD, Animation)))
 
 
 def viewer_files(

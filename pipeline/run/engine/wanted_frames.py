@@ -7,7 +7,6 @@ from pipeline.capture.session import CaptureSession, Session
 from pipeline.capture.synchronization.session_clocks import on_measured_clocks
 from pipeline.core.data.cameras import RefinedCalibration, Synchronization
 from pipeline.core.errors import PipelineError
-from pipeline.run.engine.codec import output_record
 from pipeline.run.engine.stage import REFINE, SYNCHRONIZE, Context
 
 _Kind = TypeVar("_Kind", bound=Session)
@@ -16,13 +15,13 @@ _Kind = TypeVar("_Kind", bound=Session)
 def measured_clocks(context: Context) -> Synchronization | None:
     """Measured clocks; ``None`` if the times are as declared."""
     is_declared = context.config.sync == "declared" or context.facts.has_points
-    return None if is_declared else output_record(context, SYNCHRONIZE, Synchronization)
+    return None if is_declared else context.record(SYNCHRONIZE, Synchronization)
 
 
 def refined_calibration(context: Context) -> RefinedCalibration | None:
     """Refined cameras and the report; ``None`` if the calibration stays as it is given."""
     is_given = context.config.refine_calibration == "off" or context.facts.has_points
-    return None if is_given else output_record(context, REFINE, RefinedCalibration)
+    return None if is_given else context.record(REFINE, RefinedCalibration)
 
 
 def wanted_on_clocks(context: Context, session: Session) -> Session:

@@ -32,8 +32,8 @@ def _blurs_heads(facts: stage.SessionFacts, config: ReconstructionConfig) -> boo
 def find_heads(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find the heads of everybody who was located or detected, in every camera."""
     from pipeline.core.data.detections import Detections, PafFields
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.export.privacy.heads import head_path, head_regions, seen_heads
-    from pipeline.run.engine.codec import encode, output_records
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.take import found_animation
@@ -44,9 +44,7 @@ def find_heads(task: stage.Task, context: stage.Context) -> stage.Output:
     joints, timebase = detections.joints(session), session.timebase
     tracks = [*found_people(context, stage.IDENTIFY).people.tracks, *found_animation(context).tracks]
     people = [path for track in tracks if (path := head_path(track, joints, timebase)) is not None]
-    seen = seen_heads(
-        output_records(context, stage.DETECT, PafFields if detections.finds_fields else Detections), joints
-    )
+    seen = seen_heads(context.records(stage.DETECT, PafFields if detections.finds_fields else Detections), joints)
     on_share, regions = context.on_share(task), []
     for number, camera in enumerate(session.cameras):
         times = session.times[camera.name]
@@ -91,9 +89,8 @@ def blur_videos(task: stage.Task, context: stage.Context) -> stage.Output:
 def head_regions_in(context: stage.Context, camera: str) -> "HeadRegions | None":
     """Heads to be blurred in the pictures of a camera; ``None`` if none are."""
     from pipeline.core.data.heads import HeadRegions
-    from pipeline.run.engine.codec import output_record
 
     if not (context.config.blur_faces and context.facts.has_videos):
         return None
-    regions = output_record(context, stage.HEADS, tuple[HeadRegions, ...])
+    regions = context.record(stage.HEADS, tuple[HeadRegions, ...])
     return next(known for known in regions if known.camera == camera)

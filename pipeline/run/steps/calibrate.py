@@ -32,7 +32,7 @@ def find_board(task: Task, context: Context) -> Output:
 
     from pipeline.calibration.board.source import frames_to_look_at, look_in_video, photographs_to_look_at
     from pipeline.calibration.board.spec import parse_board
-    from pipeline.run.engine.codec import encode
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.wanted_frames import captured_videos
 
     session, making, camera = captured_videos(context), context.config.making, task.one_camera
@@ -66,7 +66,6 @@ def calibrate(task: Task, context: Context) -> Output:
     from pipeline.calibration.people.calibrate_people import calibrate_people
     from pipeline.calibration.report import report_document
     from pipeline.calibration.write import encode
-    from pipeline.run.engine.codec import output_records
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.session_check.check_session import hanging_cameras
 
@@ -90,7 +89,7 @@ def calibrate(task: Task, context: Context) -> Output:
     else:
         outline = context.outline()
         given = {camera.name: camera for camera in outline.cameras} if making.has_intrinsics else None
-        views = list(output_records(context, FIND_BOARD, BoardViews))
+        views = list(context.records(FIND_BOARD, BoardViews))
         board, rate_hz = parse_board(making.board), outline.timebase.frame_rate_hz
         calibration = calibrate_board(views, board, given, rate_hz, on_share=on_share, known_points=making.known_points)
     report, text = report_document(calibration), encode(calibration.cameras).decode()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 )
 def check(task: Task, context: Context) -> Output:
     """Check the session as it was given, on measured clocks if they were measured."""
-    from pipeline.run.engine.codec import encode
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.wanted_frames import measured_clocks
     from pipeline.run.session_check.check_session import hanging_cameras, with_clocks

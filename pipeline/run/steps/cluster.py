@@ -31,7 +31,7 @@ def _is_clustering(_: stage.SessionFacts, config: ReconstructionConfig) -> bool:
 )
 def measure_lengths(task: stage.Task, context: stage.Context) -> stage.Output:
     """Measure everybody's bones, a range of frames at a time; and list the damaged videos."""
-    from pipeline.run.engine.codec import encode
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import MeasuredBones, association_in
     from pipeline.run.engine.wanted_frames import numbered_from_first, wanted_frames
@@ -59,14 +59,14 @@ def measure_lengths(task: stage.Task, context: stage.Context) -> stage.Output:
 )
 def find_poses(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find all people in a range of output frames."""
-    from pipeline.run.engine.codec import encode, output_record
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import MeasuredBones, association_in
     from pipeline.run.engine.wanted_frames import numbered_from_first, wanted_frames
 
     session = wanted_frames(context, context.session())
     detected = detection_source(context).in_range(task, session, task.index, task.frames)
-    lengths = output_record(context, stage.LENGTHS, MeasuredBones).lengths
+    lengths = context.record(stage.LENGTHS, MeasuredBones).lengths
     frames = numbered_from_first(context, task.frames, session)
     return stage.Output(
         encode(association_in(context, session).locate_people(frames, detected, lengths, context.on_unit))

@@ -40,11 +40,11 @@ def _detects_people(facts: SessionFacts, config: ReconstructionConfig) -> bool:
 )
 def look(task: Task, context: Context) -> Output:
     """Look at the people in some frames of a camera's whole video: turn and size of its images."""
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.detection.look import look_at_people
     from pipeline.detection.profiles.profile_detector import open_finder, shows_lean
     from pipeline.detection.profiles.sizes import RULES
     from pipeline.detection.upright import turn_of_roll
-    from pipeline.run.engine.codec import encode
     from pipeline.run.engine.wanted_frames import captured_videos
 
     session, config, name = captured_videos(context), context.config, task.one_camera
@@ -84,11 +84,11 @@ def detect(task: Task, context: Context) -> Output:
     from pipeline.core.data.arrays import no_colours
     from pipeline.core.data.detections import Detections
     from pipeline.core.runtime.npz import encode_arrays
+    from pipeline.core.runtime.record_archive import decode, encode
     from pipeline.detection.chunk import detect_chunk, detect_fields_chunk, measure_colours
     from pipeline.detection.entries import detection_joints
     from pipeline.detection.profiles.profile_detector import load_detector, open_detection, turned
     from pipeline.detection.profiles.sizes import CameraLook
-    from pipeline.run.engine.codec import decode, encode, output_records
     from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.timeline import span_s
 
@@ -96,7 +96,7 @@ def detect(task: Task, context: Context) -> Output:
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
     networks = config.networks
     number = list(context.facts.camera_rates_hz).index(camera)
-    (camera_look,) = output_records(context, LOOK, CameraLook, slice(number, number + 1))
+    (camera_look,) = context.records(LOOK, CameraLook, slice(number, number + 1))
     with context.video(camera):
         if stored is not None:
             joints = detection_joints(config)
@@ -117,8 +117,8 @@ def detect(task: Task, context: Context) -> Output:
 def _first_people(task: Task, context: Context, content: bytes) -> bytes | None:
     """People of the task's frames, by the camera that is the last one to be done; clocks have to be known."""
     from pipeline.core.data.detections import Detections
+    from pipeline.core.runtime.record_archive import decode
     from pipeline.detection.entries import detection_joints
-    from pipeline.run.engine.codec import decode
     from pipeline.run.engine.first_people import first_people
 
     config, names = context.config, list(context.facts.camera_rates_hz)

@@ -49,7 +49,7 @@ def refit(task: stage.Task, context: stage.Context) -> stage.Output:
     """Animate and correct a part of the people changed by edits, unless an earlier task has done so."""
     from pipeline.core.data.animation import Animation
     from pipeline.core.progress import split
-    from pipeline.run.engine.codec import encode
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.refitting import Refitter
     from pipeline.run.engine.stored_people import found_people
 

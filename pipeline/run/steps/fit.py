@@ -24,8 +24,8 @@ def fit(task: Task, context: Context) -> Output:
     """Fit the skeletons of a part of the people; the first task also finds from whose feet the floor is estimated."""
     from pipeline.association.identity.likenesses import find_likenesses, seen_in
     from pipeline.core.progress import split
+    from pipeline.core.runtime.record_archive import encode, save
     from pipeline.motion.skeleton.animate import FittedFeet, PersonFitter
-    from pipeline.run.engine.codec import encode, save
     from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
@@ -64,9 +64,9 @@ def hold_feet(task: Task, context: Context) -> Output:
     """Finish the motion of a part of the people: feet that stand are held, and hands are fitted."""
     from pipeline.core.data.animation import Animation
     from pipeline.core.progress import split
+    from pipeline.core.runtime.record_archive import RecordArchive, save
     from pipeline.motion.skeleton.animate import FittedFeet, FittedPerson, PersonFitter, floor_under
     from pipeline.motion.skeleton.fitting.fit import FitState
-    from pipeline.run.engine.codec import RecordArchive, output_records, save
     from pipeline.run.engine.detection_source import detection_source, joint_offsets
     from pipeline.run.engine.stored_people import found_people
     from pipeline.run.engine.wanted_frames import wanted_frames
@@ -75,7 +75,7 @@ def hold_feet(task: Task, context: Context) -> Output:
     people = found_people(context, IDENTIFY).people
     joints = detection_source(context).joints(session)
     fitter = PersonFitter(session.cameras, session.timebase, joints, context.config, joint_offsets(context))
-    feet = list(output_records(context, FIT, FittedFeet))
+    feet = list(context.records(FIT, FittedFeet))
     points = [feet[number % len(feet)].points[number // len(feet)] for number in range(len(people.tracks))]
     floor = floor_under([points[number] for number in feet[0].on_floor or ()], session.timebase.frame_rate_hz)
     path = context.scratch / "states.npz"

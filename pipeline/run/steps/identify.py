@@ -18,7 +18,6 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     from pipeline.capture.points import PointSession, unseen
     from pipeline.core.data.detections import Detections
     from pipeline.core.data.people import People
-    from pipeline.run.engine.codec import output_records
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in, gathered_bodies
     from pipeline.run.engine.stored_people import found_people, write_people
@@ -39,7 +38,7 @@ def identify(task: stage.Task, context: stage.Context) -> stage.Output:
     people = association.assign_identities(tracked.people, colour)
     del colour
     if redetects_bodies(context.facts, context.config):
-        people = association.accept_redetected(people, output_records(context, stage.REDETECT, Detections))
+        people = association.accept_redetected(people, context.records(stage.REDETECT, Detections))
     people = association.assign_limbs(people)
     people = association.find_losses(association.follow_by_one_camera(people, tracked.people.leftovers))
     if has_hands(joints):

@@ -26,7 +26,7 @@ def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) ->
 def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
     """Find the frames of each camera in which people are expected who lean, and their places there."""
     from pipeline.association.redetection.expect import expect_leaning
-    from pipeline.run.engine.codec import encode
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in
     from pipeline.run.engine.stored_people import found_people
@@ -65,8 +65,8 @@ def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
     from pipeline.association.redetection.crops import detect_expected
     from pipeline.core.data.detections import Detections
     from pipeline.core.joints import without_hands
+    from pipeline.core.runtime.record_archive import decode, encode
     from pipeline.detection.profiles.profile_detector import load_landmarks
-    from pipeline.run.engine.codec import decode, encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.wanted_frames import captured_videos
     from pipeline.video.timeline import frames_in, span_s

@@ -20,7 +20,7 @@ from pipeline.run.engine.stage import CHECK, DETECT, REFINE, SYNCHRONIZE, Contex
 def refine(task: Task, context: Context) -> Output:
     """Refine the cameras of the session, on measured clocks if they were measured."""
     from pipeline.core.findings import SessionCheck
-    from pipeline.run.engine.codec import encode, output_record
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in
     from pipeline.run.engine.recalibration import refine_from_bodies, refine_from_fields
@@ -40,6 +40,6 @@ def refine(task: Task, context: Context) -> Output:
         refined = refine_from_fields(association, chunks, on_share)
     else:
         refined = refine_from_bodies(association, detections.bodies(session), detections.joints(session), on_share)
-    if is_deferred(output_record(context, CHECK, SessionCheck), session.cameras, config):
+    if is_deferred(context.record(CHECK, SessionCheck), session.cameras, config):
         judge_refined(check_with(task, context, refined.cameras), refined.cameras)
     return Output(encode(refined))

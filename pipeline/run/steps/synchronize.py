@@ -16,7 +16,7 @@ from pipeline.run.engine.stage import DETECT, SYNCHRONIZE, Context, Output, Task
 def synchronize(task: Task, context: Context) -> Output:
     """Measure the clocks of the cameras, from all people of the session and from the sound of its videos."""
     from pipeline.capture.synchronization.session_clocks import listen, measure_clocks
-    from pipeline.run.engine.codec import encode
+    from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
 
     detections, session = detection_source(context), context.session()

@@ -15,7 +15,6 @@ def track(task: stage.Task, context: stage.Context) -> stage.Output:
     """Turn bodies or poses of all frames into tracks."""
     from pipeline.association.hands.attach import without_fingers
     from pipeline.core.data.people import Poses3D
-    from pipeline.run.engine.codec import output_record, output_records
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import MeasuredBones, association_in, gathered_bodies
     from pipeline.run.engine.stored_people import write_people
@@ -24,8 +23,8 @@ def track(task: stage.Task, context: stage.Context) -> stage.Output:
     on_share = context.on_share(task)
     if context.config.method == "clustering":
         association = association_in(context, wanted_frames(context, context.outline()))
-        people = association.link(output_records(context, stage.POSES, Poses3D), on_share)
-        damaged = output_record(context, stage.LENGTHS, MeasuredBones).damaged
+        people = association.link(context.records(stage.POSES, Poses3D), on_share)
+        damaged = context.record(stage.LENGTHS, MeasuredBones).damaged
     else:
         bodies, damaged = gathered_bodies(context)
         session = wanted_frames(context, context.outline())

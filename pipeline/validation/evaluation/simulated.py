@@ -23,8 +23,8 @@ from pipeline.core.data.detections import PafFields
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.joints import COCO_18, JointSet
 from pipeline.core.runtime.child_processes import ProcessPool
+from pipeline.core.runtime.record_archive import decode, save
 from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
-from pipeline.run.engine.codec import decode, save
 from pipeline.run.engine.stage import FrameCut
 from pipeline.validation.evaluation import mpjpe
 from pipeline.validation.evaluation.mot import MotFrame, score_mot

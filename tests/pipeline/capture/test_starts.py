@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -137,8 +137,7 @@ def test_check_of_session_records_its_clock(tmp_path: Path, capsys: pytest.Captu
     words = ["--videos", *map(str, videos(tmp_path)), "--calibration"]
     words += [str(calibration(tmp_path / "c.json", ["a", "b", "c"])), "--clock", "timecode"]
     assert preflight.main(words) == 0
-    document: dict[str, Any] = json.loads(capsys.readouterr().out)
-    assert document["clock"] == "timecode"
-    assert document["cameras"][0]["start_time_s"] == 0.0
-    assert Preflight.from_json(document).clock == "timecode"
+    checked = Preflight.from_json(json.loads(capsys.readouterr().out))
+    assert checked.clock == "timecode"
+    assert checked.cameras[0].start_time_s == 0.0
     assert set(get_args(Clock)) == {"declared", "timecode", "creation_time"}

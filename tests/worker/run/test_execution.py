@@ -16,8 +16,8 @@ from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_FEET, COCO_17, WHOLE_BODY, JointSet, without_hands
 from pipeline.core.options.job_choices import ProxyChoices
 from pipeline.core.runtime.jit import round_up
+from pipeline.core.runtime.record_archive import decode, encode
 from pipeline.detection.profiles.sizes import CameraLook
-from pipeline.run.engine.codec import decode, encode
 from pipeline.run.engine.stage import LOOK
 from pipeline.run.warm_up import JOINT_SETS
 from pipeline.video.info import VideoInfo

@@ -2,12 +2,12 @@
 
 import functools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from datetime import datetime, timedelta
 from itertools import compress, groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, get_type_hints
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, bindparam, case, func, select, true, tuple_
 
@@ -15,15 +15,16 @@ from pipeline.capture.preflight_record import Preflight
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import ReconstructionConfig, method_warnings
 from pipeline.core.options.edits import PeopleEdit, read_edit
-from pipeline.core.options.job_choices import BLURRED_KIND, CalibrationChoices, KnownPoint, ProxyChoices, VisualChoices
+from pipeline.core.options.job_choices import BLURRED_KIND, CalibrationChoices, ProxyChoices, VisualChoices
+from pipeline.core.records import from_json
 from pipeline.run.engine.costs import unit_s
 from pipeline.run.engine.stage import DETECT
 from pipeline.run.space import foreseen_space
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, edits, jobs, results, sessions
 from worker.store.model.character_records import JobCharacter
-from worker.store.model.job_records import JobProblem, JobRecord, Making, NewestJob, StageProgress, job_config
-from worker.store.model.session_records import InputFile, Session
+from worker.store.model.job_records import JobRecord, Making, NewestJob, StageProgress, job_config
+from worker.store.model.session_records import Session
 from worker.store.model.states import ChunkState, JobState
 from worker.store.spec import JobSpec
 
@@ -38,25 +39,20 @@ _ENDED = frozenset({ChunkState.DONE, ChunkState.FAILED, ChunkState.CANCELED})
 
 def read(record: type[RecordT], row: Row[Any], **converted: Any) -> RecordT:
     """Record from the columns of a row that are named as its fields; ``converted`` are values of other fields."""
-    names = {field.name for field in fields(record)} & row._mapping.keys() - converted.keys()
-    return record(**{name: row._mapping[name] for name in names}, **converted)
+    kinds = _kinds(record)
+    names = kinds.keys() & row._mapping.keys() - converted.keys()
+    return record(**{name: from_json(kinds[name], row._mapping[name]) for name in names}, **converted)
+
+
+@functools.cache
+def _kinds(record: type["DataclassInstance"]) -> Mapping[str, Any]:
+    hints = get_type_hints(record)
+    return {field.name: hints[field.name] for field in fields(record)}
 
 
 def read_session(row: Row[Any]) -> Session:
     """Session from its row."""
-    return read(
-        Session,
-        row,
-        files=tuple(InputFile(**file) for file in row.files),
-        preflight=Preflight.from_json(row.preflight),
-        metadata=row.client_metadata,
-        errors=tuple(row.errors or ()),
-    )
-
-
-def read_problem(document: Mapping[str, Any] | None) -> JobProblem | None:
-    """Problem of a job or of an attempt, from its column."""
-    return None if document is None else JobProblem.from_json(document)
+    return read(Session, row, metadata=row.client_metadata, errors=tuple(row.errors or ()))
 
 
 # Clients ask for jobs all the time, and building the query takes longer than running it.
@@ -143,7 +139,7 @@ def _job(
     config = job_config(spec)
     preflight = Preflight.from_json(row.preflight)
     has_videos = not stages or any(stage.name == DETECT for stage in stages)
-    making, character = read_making(row.kind, row.making), read_job_character(row.character)
+    making, character = read_making(row.kind, row.making), from_json(JobCharacter, row.character)
     return read(
         JobRecord,
         row,
@@ -155,8 +151,6 @@ def _job(
         progress=sum(stage.done for stage in stages) / max(1, sum(stage.total for stage in stages)),
         queue_position=queue_position,
         eta_s=_eta_s(row, stages, config),
-        problem=read_problem(row.problem),
-        waiting_for=read_problem(row.waiting_for),
         warnings=(*preflight.findings, *method_warnings(config, has_videos), *map(Finding.from_json, row.warnings)),
         making=making,
         edits=read_edits(row.edits),
@@ -182,30 +176,21 @@ def _checked_spec(document: str) -> JobSpec:
     return JobSpec.model_validate_json(document)
 
 
-def read_job_character(document: Mapping[str, Any] | None) -> JobCharacter | None:
-    """Character that a job moves, from its column."""
-    return None if document is None else JobCharacter.from_json(document)
-
-
 def read_edits(documents: Sequence[Mapping[str, Any]]) -> tuple[PeopleEdit, ...]:
     """Edits of a job's people, from their column."""
     return tuple(map(read_edit, documents))
 
 
+_MAKINGS: Mapping[str, Callable[..., Making]] = {
+    "calibration": CalibrationChoices,
+    "proxies": ProxyChoices,
+    "visuals": VisualChoices,
+}
+
+
 def read_making(kind: str, choices: Mapping[str, Any] | None) -> Making | None:
     """Choices of what a job makes, from its columns."""
-    if choices is None:
-        return None
-    if kind == "proxies":
-        return ProxyChoices(tuple(choices["cameras"]))
-    if kind == "visuals":
-        return VisualChoices(**choices)
-    points = tuple(
-        KnownPoint(point["name"], tuple(point["xyz_m"]), tuple(tuple(view) for view in point["seen_px"]))
-        for point in choices.get("known_points", ())
-    )
-    statures_m = tuple(choices.get("stature_m", ()))
-    return CalibrationChoices(**{**choices, "stature_m": statures_m, "known_points": points})
+    return None if choices is None else from_json(_MAKINGS[kind], choices)
 
 
 def _eta_s(row: Row[Any], stages: Iterable[StageProgress], config: ReconstructionConfig) -> float | None:

@@ -45,11 +45,6 @@ class JobCharacter:
     file: StoredCharacterFile
     corrections: Mapping[str, str | None]
 
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> "JobCharacter":
-        """Read what ``dataclasses.asdict`` made."""
-        return cls(**{**document, "file": StoredCharacterFile(**document["file"])})
-
     @property
     def digest(self) -> str:
         """Digest of all on which files of the character depend."""

@@ -1,9 +1,8 @@
 """Jobs: choices, course, problems, result files, and the webhook messages of their ends."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Literal
+from typing import Literal
 
 from pipeline.core.findings import Finding
 from pipeline.core.options.config import ReconstructionConfig
@@ -89,12 +88,6 @@ class JobProblem:
     hint: str | None = None
     retryable: bool = False
     errors: tuple[SessionError, ...] = ()
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> "JobProblem":
-        """Read what ``dataclasses.asdict`` made."""
-        errors = tuple(SessionError(**error) for error in document.get("errors", ()))
-        return cls(**{**document, "errors": errors})
 
 
 def is_worth_a_retry(state: JobState, problem: JobProblem | None) -> bool:

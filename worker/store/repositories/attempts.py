@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, insert, select
 
 from worker.store.database.connection import now
-from worker.store.database.rows import read, read_problem
+from worker.store.database.rows import read
 from worker.store.database.tables import attempts, failures
 from worker.store.model.job_records import Attempt, Failure, JobProblem
 from worker.store.model.states import FINISHED, JobState
@@ -47,18 +47,5 @@ def read_attempts(connection: Connection, job: Row[Any]) -> list[Attempt]:
         select(failures).where(failures.c.job_id == job.id).order_by(failures.c.attempt, failures.c.id)
     )
     by_attempt = groupby(found, key=lambda row: row.attempt)
-    failed = {attempt: tuple(map(_failure, rows)) for attempt, rows in by_attempt}
-    return [
-        read(
-            Attempt,
-            row,
-            state=JobState(row.state),
-            problem=read_problem(row.problem),
-            failures=failed.get(row.attempt, ()),
-        )
-        for row in (*earlier, job)
-    ]
-
-
-def _failure(row: Row[Any]) -> Failure:
-    return read(Failure, row, problem=read_problem(row.problem))
+    failed = {attempt: tuple(read(Failure, row) for row in rows) for attempt, rows in by_attempt}
+    return [read(Attempt, row, failures=failed.get(row.attempt, ())) for row in (*earlier, job)]

@@ -11,14 +11,14 @@ from uuid_utils import uuid7
 from pipeline.core.options.job_choices import CalibrationChoices
 from worker.store.database.access import Repository, existing, newest_first
 from worker.store.database.connection import now
-from worker.store.database.rows import read, read_problem
+from worker.store.database.rows import read
 from worker.store.database.stored_files import forget_answers, remove_later
 from worker.store.database.tables import calibrations, jobs, sessions
 from worker.store.errors import Conflict
 from worker.store.files.file_keys import job_prefix, session_prefix
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import Calibration, MadeCalibration
-from worker.store.model.states import FINISHED, JobState
+from worker.store.model.states import FINISHED
 from worker.store.repositories.audit import AuditAction, record_event
 
 
@@ -55,7 +55,7 @@ class Calibrations(Repository):
         """Calibrations, the newest first; ``after`` is the last id of the page before."""
         query = newest_first(_select().where(self._access.may_reach(calibrations)), calibrations, limit, after)
         with self._access.reading() as connection:
-            return [_calibration(row) for row in connection.execute(query)]
+            return [read(Calibration, row) for row in connection.execute(query)]
 
     def rename(self, calibration_id: str, name: str) -> Calibration:
         """Give a calibration another name; ``NotFound`` if there is none."""
@@ -125,7 +125,7 @@ class Calibrations(Repository):
             return self._read(connection, calibration_id)
 
     def _read(self, connection: Connection, calibration_id: str) -> Calibration:
-        return _calibration(self._row(connection, calibration_id))
+        return read(Calibration, self._row(connection, calibration_id))
 
     def _row(self, connection: Connection, calibration_id: str) -> Row[Any]:
         query = _select().where(calibrations.c.id == calibration_id, self._access.may_reach(calibrations))
@@ -153,11 +153,6 @@ def _select() -> Select[Any]:
     return select(calibrations, jobs.c.state.label("job_state"), jobs.c.problem).outerjoin(
         jobs, jobs.c.id == calibrations.c.id
     )
-
-
-def _calibration(row: Row[Any]) -> Calibration:
-    state = None if row.job_state is None else JobState(row.job_state)
-    return read(Calibration, row, job_state=state, problem=read_problem(row.problem))
 
 
 def _own_session(row: Row[Any]) -> Select[Any]:

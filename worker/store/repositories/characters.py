@@ -68,19 +68,19 @@ class Characters(Repository):
                 )
             )
             record_event(connection, access.actor, access.owner, AuditAction.CHARACTER_CREATED, character_id)
-            return _read(Character, self._row(connection, character_id))
+            return read(Character, self._row(connection, character_id))
 
     def get(self, character_id: str) -> Character:
         """Character with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
-            return _read(Character, self._row(connection, character_id))
+            return read(Character, self._row(connection, character_id))
 
     def page(self, limit: int = 50, after: str | None = None) -> list[CharacterSummary]:
         """Characters, the newest first; ``after`` is the last id of the page before."""
         listed = (characters.c[field.name] for field in fields(CharacterSummary))
         query = newest_first(select(*listed).where(self._access.may_reach(characters)), characters, limit, after)
         with self._access.reading() as connection:
-            return [_read(CharacterSummary, row) for row in connection.execute(query)]
+            return [read(CharacterSummary, row) for row in connection.execute(query)]
 
     def rename(self, character_id: str, name: str) -> Character:
         """Give a character another name; ``NotFound`` if there is none."""
@@ -89,7 +89,7 @@ class Characters(Repository):
             if row.name != name:
                 connection.execute(update(characters).where(characters.c.id == row.id).values(name=name))
                 record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_RENAMED, row.id)
-            return _read(Character, self._row(connection, character_id))
+            return read(Character, self._row(connection, character_id))
 
     def correct(
         self,
@@ -110,7 +110,7 @@ class Characters(Repository):
             chosen = update(characters).where(characters.c.id == row.id)
             connection.execute(chosen.values(**values, num_bytes=num_bytes))
             record_event(connection, self._access.actor, row.tenant, AuditAction.CHARACTER_CORRECTED, row.id)
-            return _read(Character, self._row(connection, character_id))
+            return read(Character, self._row(connection, character_id))
 
     def delete(self, character_id: str) -> None:
         """Delete a character, and note its file for removal; ``NotFound`` if there is none."""
@@ -124,10 +124,6 @@ class Characters(Repository):
     def _row(self, connection: Connection, character_id: str) -> Row[Any]:
         query = select(characters).where(characters.c.id == character_id, self._access.may_reach(characters))
         return existing(connection.execute(query).one_or_none(), "character")
-
-
-def _read(record: type[CharacterT], row: Row[Any]) -> CharacterT:
-    return read(record, row, file=StoredCharacterFile(**row.file))
 
 
 def _json_bytes(document: Mapping[str, Any]) -> int:

@@ -3,9 +3,8 @@
 import hashlib
 import secrets
 from collections.abc import Collection
-from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, delete, insert, select, update
+from sqlalchemy import ColumnElement, Connection, delete, insert, select, update
 from uuid_utils import uuid7
 
 from worker.store.database.access import Transactions, existing
@@ -48,12 +47,12 @@ class Keys:
                 )
             )
             record_event(connection, Actor(), tenant, AuditAction.KEY_CREATED, key_id)
-            return _key(connection.execute(select(keys).where(keys.c.id == key_id)).one()), secret
+            return read(Key, connection.execute(select(keys).where(keys.c.id == key_id)).one()), secret
 
     def all(self) -> list[Key]:
         """All keys, also those that are no longer valid, the oldest first."""
         with self._transactions.reading() as connection:
-            return [_key(row) for row in connection.execute(select(keys).order_by(keys.c.id))]
+            return [read(Key, row) for row in connection.execute(select(keys).order_by(keys.c.id))]
 
     def count_tenants(self) -> int:
         """Number of tenants that have a valid key with the scope ``write``."""
@@ -78,7 +77,7 @@ class Keys:
                 connection.execute(update(keys).where(keys.c.id == key_id).values(revoked_at=now()))
                 connection.execute(delete(browser_sessions).where(browser_sessions.c.key_id == key_id))
                 record_event(connection, Actor(), row.tenant, AuditAction.KEY_REVOKED, key_id)
-            return _key(connection.execute(select(keys).where(keys.c.id == key_id)).one())
+            return read(Key, connection.execute(select(keys).where(keys.c.id == key_id)).one())
 
     def find(self, secret: str) -> Key | None:
         """Key with a secret; ``None`` if it is unknown or not valid now."""
@@ -87,7 +86,7 @@ class Keys:
         query = select(keys).where(keys.c.sha256 == digest(secret), is_valid())
         with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else _key(row)
+        return None if row is None else read(Key, row)
 
     def valid(self, key_ids: Collection[str]) -> set[str]:
         """Ids among some whose keys are valid now."""
@@ -110,10 +109,6 @@ def digest(secret: str) -> str:
 def is_valid() -> ColumnElement[bool]:
     """Condition that a key is neither revoked nor expired."""
     return keys.c.revoked_at.is_(None) & (keys.c.expires_at.is_(None) | (keys.c.expires_at > now()))
-
-
-def _key(row: Row[Any]) -> Key:
-    return read(Key, row, scopes=frozenset(map(Scope, row.scopes)))
 
 
 class BrowserSessions:
@@ -142,7 +137,7 @@ class BrowserSessions:
         )
         with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else _key(row)
+        return None if row is None else read(Key, row)
 
     def close(self, secret: str) -> None:
         """Delete a session."""

@@ -9,7 +9,7 @@ import secrets
 from collections.abc import Collection
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, delete, func, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, Select, delete, func, insert, or_, select
 from uuid_utils import uuid7
 
 from worker.store.database.access import Repository, Transactions, existing
@@ -60,14 +60,14 @@ class Links(Repository):
                 )
             )
             record_event(connection, self._access.actor, job.tenant, AuditAction.LINK_CREATED, link_id)
-            return _link(connection.execute(_select_links().where(links.c.id == link_id)).one()), secret
+            return read(Link, connection.execute(_select_links().where(links.c.id == link_id)).one()), secret
 
     def list_valid(self, job_id: str) -> list[Link]:
         """Valid links of a job, the newest first; ``NotFound`` without a job."""
         query = _select_links().where(links.c.job_id == job_id, *_are_valid()).order_by(links.c.id.desc())
         with self._access.reading() as connection:
             job_row(connection, self._access, job_id)
-            return [_link(row) for row in connection.execute(query)]
+            return [read(Link, row) for row in connection.execute(query)]
 
     def revoke(self, link_id: str) -> None:
         """Revoke a link for good; ``NotFound`` if there is none."""
@@ -94,7 +94,7 @@ class LinkSecrets:
         query = _select_links().where(links.c.sha256 == digest(secret), *_are_valid())
         with self._transactions.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else _link(row)
+        return None if row is None else read(Link, row)
 
     def valid(self, link_ids: Collection[str]) -> set[str]:
         """Ids among some whose links are valid now."""
@@ -112,10 +112,6 @@ def _are_valid() -> tuple[ColumnElement[bool], ...]:
     has_no_keys = ~select(keys.c.id).correlate(None).exists()
     by_key = or_(links.c.key_id.is_not(None) & is_valid(), links.c.key_id.is_(None) & has_no_keys)
     return links.c.expires_at > now(), by_key
-
-
-def _link(row: Row[Any]) -> Link:
-    return read(Link, row, scope=LinkScope(row.scope))
 
 
 class JoinSecrets:

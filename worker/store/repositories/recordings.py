@@ -383,7 +383,7 @@ def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[p
     phones_by_id, takes_by_id = _rows_by_recording(connection, phones, ids), _rows_by_recording(connection, takes, ids)
     clips_by_take: defaultdict[tuple[str, int], list[phone_records.TakeClip]] = defaultdict(list)
     for row in connection.execute(select(clips).where(clips.c.recording_id.in_(ids)).order_by(clips.c.phone)):
-        clip = read(phone_records.TakeClip, row, files=tuple(phone_records.ClipFile(**file) for file in row.files))
+        clip = read(phone_records.TakeClip, row)
         clips_by_take[row.recording_id, row.take].append(clip)
     recordings_read = []
     for row in found:

@@ -3,12 +3,13 @@
 from sqlalchemy import select
 
 from pipeline.core.options.job_choices import BLURRED_KIND
+from pipeline.core.records import from_json
 from pipeline.run.engine.stage import VIEWER
 from worker.store.database.access import Repository
-from worker.store.database.rows import read, read_problem
+from worker.store.database.rows import read
 from worker.store.database.tables import jobs, results
 from worker.store.errors import NoResults, NotFinished, NotFound
-from worker.store.model.job_records import Result, is_worth_a_retry
+from worker.store.model.job_records import JobProblem, Result, is_worth_a_retry
 from worker.store.model.states import FINISHED, JobState
 from worker.store.repositories.jobs import job_row
 
@@ -33,7 +34,7 @@ class Results(Repository):
                 raise NotFinished("The job is unfinished; its results come with its end.")
             found = [read(Result, row) for row in connection.execute(query)]
         if not found and job.results_revision is None:
-            problem = read_problem(job.problem)
+            problem = from_json(JobProblem, job.problem)
             reason = f"{problem.code}: {problem.detail}" if problem else None
             raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
         return found

@@ -13,7 +13,7 @@ from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, sel
 
 from worker.store.database.access import Repository, existing
 from worker.store.database.connection import lock, now
-from worker.store.database.rows import read, read_problem
+from worker.store.database.rows import read
 from worker.store.database.tables import uploads
 from worker.store.errors import Conflict
 from worker.store.model.job_records import JobProblem
@@ -197,7 +197,7 @@ def awaited_uploads(connection: Connection, session_ids: Collection[str]) -> Map
 
 
 def _upload(row: Row[Any]) -> Upload:
-    return read(Upload, row, is_fetching=row.fetch_due_at is not None, problem=read_problem(row.problem))
+    return read(Upload, row, is_fetching=row.fetch_due_at is not None)
 
 
 def _require_room_of_phones(connection: Connection, phone: UploadingPhone, num_bytes: int) -> None:

@@ -15,8 +15,8 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.errors import InputError
 from pipeline.core.options.job_choices import KnownPoint
+from pipeline.core.runtime.record_archive import decode, encode
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.run.engine.codec import decode, encode
 from tests.cases import accuracy_but
 from tests.pipeline.calibration.board.conftest import ring, views_of
 from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses

@@ -13,7 +13,7 @@ from pipeline.capture.synchronization.sound_offsets import SoundOffsets
 from pipeline.core.data.cameras import FrameTimes, Synchronization
 from pipeline.core.errors import InputError
 from pipeline.core.options.config import Method, ReconstructionConfig
-from pipeline.run.engine.codec import decode, encode
+from pipeline.core.runtime.record_archive import decode, encode
 from pipeline.run.engine.local import reconstruct, session_facts
 from pipeline.run.engine.plan import STAGE_BY_NAME, STAGES, plan
 from pipeline.run.engine.stage import ASSOCIATE, DETECT, SYNCHRONIZE

@@ -20,9 +20,9 @@ from pipeline.core.data.rigid import Rigid3
 from pipeline.core.joints import COCO_18
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import Progress
+from pipeline.core.runtime.record_archive import decode, encode
 from pipeline.export.quality.report import quality_report
 from pipeline.export.results import write_results
-from pipeline.run.engine.codec import decode, encode
 from pipeline.run.engine.local import reconstruct
 from pipeline.run.engine.methods import Association
 from pipeline.run.engine.recalibration import refine_from_bodies, refine_from_fields

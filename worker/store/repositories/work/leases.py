@@ -11,13 +11,15 @@ from uuid_utils import uuid7
 from pipeline.core.findings import Finding
 from pipeline.core.options.edits import PersonSpan
 from pipeline.core.problems.finding_codes import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
+from pipeline.core.records import from_json
 from worker.store.database import transitions
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
-from worker.store.database.rows import read, read_edits, read_job_character, read_making, read_spec
+from worker.store.database.rows import read, read_edits, read_making, read_spec
 from worker.store.database.stored_files import list_results
 from worker.store.database.tables import artifacts, chunks, found_people, jobs
 from worker.store.database.totals import Total, count
+from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobProblem, Result
 from worker.store.model.session_records import MadeCalibration
 from worker.store.model.states import AT_WORK, ChunkState, JobState
@@ -272,7 +274,7 @@ def _claim(job: Row[Any], chunk: Row[Any], token: str) -> Claim:
         revision=job.revision,
         reconstruction_id=job.reconstruction_id,
         provider=job.provider,
-        character=read_job_character(job.character),
+        character=from_json(JobCharacter, job.character),
     )
 
 

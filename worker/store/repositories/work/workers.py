@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 from sqlalchemy import ColumnElement, Connection, and_, delete, func, or_, select
 
-from pipeline.core.options.providers import CPU, Provider
+from pipeline.core.options.providers import CPU
 from worker.store.database.access import Transactions
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import read
@@ -44,16 +44,7 @@ class Workers:
         """Worker processes that are alive."""
         with self._transactions.reading() as connection:
             rows = connection.execute(select(workers).where(_is_alive()).order_by(workers.c.id))
-            return [
-                read(
-                    WorkerStatus,
-                    row,
-                    state=WorkerState(row.state),
-                    provider=Provider(**row.provider),
-                    **{name: tuple(getattr(row, name)) for name in _LISTS},
-                )
-                for row in rows
-            ]
+            return [read(WorkerStatus, row) for row in rows]
 
     def provider(self, earlier: str | None = None) -> str:
         """See ``provider_at_work``."""

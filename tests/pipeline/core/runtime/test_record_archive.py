@@ -20,9 +20,9 @@ from pipeline.core.data.detections import DamagedVideo, Detections, MapGrid, Paf
 from pipeline.core.data.people import Doubt, Leftovers, Observations, People, PersonLoss, Poses3D, Track3D
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.edits import PersonSpan
+from pipeline.core.runtime import record_archive
 from pipeline.core.runtime.npz import open_archive
-from pipeline.run.engine import codec
-from pipeline.run.engine.codec import RecordArchive, decode, encode, save
+from pipeline.core.runtime.record_archive import RecordArchive, decode, encode, save
 from pipeline.run.engine.methods import MeasuredBones
 from pipeline.run.engine.stored_people import StoredPeople, write_people
 
@@ -105,7 +105,7 @@ def test_entries_of_archive_are_listed_once(tmp_path: Path, monkeypatch: pytest.
     """Thousands of people have ten thousands of entries: listing them again for each person took minutes."""
     write_people(tmp_path / "people", people_of_two_lengths())
     listed = Mock(wraps=open_archive)
-    monkeypatch.setattr(codec, "open_archive", listed)
+    monkeypatch.setattr(record_archive, "open_archive", listed)
     people = StoredPeople(tmp_path / "people").people
     assert len([*people.tracks, *people.observations]) == 4
     listed.assert_called_once_with(tmp_path / "people")
