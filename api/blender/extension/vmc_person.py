@@ -90,6 +90,7 @@ _CONSTANTS: Mapping[str, Any] = {"T": True, "F": False, "N": None, "I": float("i
 _UPPER_CHEST = "UpperChest"  # Some senders have this bone; Multicap's skeleton lacks it.
 _JOINTS = {bone: joint for joint, bone in UNITY_BONES.items()} | {_UPPER_CHEST: _UPPER_CHEST}
 _FINGERS = tuple(("Hand", *(f"Hand{finger.capitalize()}{number}" for number in (1, 2, 3))) for finger in FINGERS)
+_FINGER_NAMES = {f"{side}Hand{finger.capitalize()}" for side in SIDES for finger in FINGERS}
 _LIMBS = ((_UPPER_CHEST, "Shoulder", "Arm", "ForeArm", "Hand"), (HIPS, "UpLeg", "Leg", "Foot"), *_FINGERS)
 _TRUNK = (HIPS, "Spine", "Chest", _UPPER_CHEST, "Neck", "Head")
 _MAX_NUMBER = 1e4
@@ -152,13 +153,18 @@ class VmcPerson:
         return all(joint in self._turns for joint in (HIPS, *REQUIRED))
 
     def rest(self) -> PersonMotion:
-        """Skeleton of the person, without motion; bones that the sender lacks have no length."""
-        offsets_m = {joint: self._places_m.get(joint, (0.0, 0.0, 0.0)) for joint in _PARENTS}
+        """Skeleton of the person, without motion; bones of the body that the sender lacks have no length."""
+        parents = {
+            joint: parent
+            for joint, parent in _PARENTS.items()
+            if joint in self._places_m or joint[:-1] not in _FINGER_NAMES  # fingers that lack stay as they are
+        }
+        offsets_m = {joint: self._places_m.get(joint, (0.0, 0.0, 0.0)) for joint in parents}
         legs = [[offsets_m[f"{side}{joint}"] for joint in ("UpLeg", "Leg", "Foot")] for side in SIDES]
         drop_m = -sum(offset[2] for leg in legs for offset in leg) / len(legs)
         legs_m = sum(length(offset) for leg in legs for offset in leg[1:]) / len(legs)
         offsets_m[HIPS] = (0.0, 0.0, drop_m + _ANKLE_SHARE * legs_m)
-        return PersonMotion(1.0, _PARENTS, offsets_m, (), {})
+        return PersonMotion(1.0, parents, offsets_m, (), {})
 
     def pose(self) -> tuple[Mapping[str, Quat], Vec]:
         """Rotations of the joints in the world, and the place of the root in metres."""
@@ -173,7 +179,7 @@ class VmcPerson:
 
 def is_same_person(first: PersonMotion, second: PersonMotion) -> bool:
     """Return whether two skeletons have bones of the same lengths."""
-    return all(
+    return first.offsets_m.keys() == second.offsets_m.keys() and all(
         abs(a - b) <= _SAME_M
         for joint, offset_m in first.offsets_m.items()
         for a, b in zip(offset_m, second.offsets_m[joint], strict=True)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from api.blender.extension.vmc_person import VmcPerson, is_same_person, read_messages
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.motion.skeleton.humanoid import UNITY_BONES
-from pipeline.motion.skeleton.model import INDEX, WHOLE_SKELETON, forward_kinematics
+from pipeline.motion.skeleton.model import INDEX, SKELETON, WHOLE_SKELETON, forward_kinematics
 from pipeline.run.live.outputs.vmc import vmc_packet
 from pipeline.run.live.records import LivePerson, LiveSkeleton
 
@@ -81,6 +81,26 @@ def test_rest_pose_stands_on_floor() -> None:
     assert ankle_m == pytest.approx(0.039 * 1.7, abs=0.01)
     assert offsets_m["LeftArm"][0] > 0.1
     assert offsets_m["LeftLeg"][2] < -0.3
+
+
+def test_sender_without_fingers_moves_none() -> None:
+    whole = sent(1)
+    body, num_body = VmcPerson(), len(SKELETON)
+    body.take(
+        packet(
+            LiveSkeleton(
+                whole.root_m,
+                whole.parent_from_joint[:num_body],
+                whole.bone_length_m[:num_body],
+                np.zeros((num_body, 3)),
+            )
+        )
+    )
+    assert not [joint for joint in body.rest().parents if "Index" in joint]
+    person = VmcPerson()
+    person.take(packet(whole))
+    assert person.rest().parents["RightHandPinky1"] == "RightHand"
+    assert not is_same_person(body.rest(), person.rest())
 
 
 def test_another_person_has_other_bones() -> None:
