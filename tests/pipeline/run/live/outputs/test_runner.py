@@ -17,7 +17,7 @@ from pipeline.run.live.outputs.runner import LiveOutputs, OutputStatus
 from pipeline.run.live.records import LiveInstant, LivePerson
 
 SENT: list[float] = []
-HANGS = threading.Event()
+HANGS, BEGUN = threading.Event(), threading.Event()
 
 
 class SlowOutput:
@@ -35,6 +35,7 @@ class SlowOutput:
         return self._address.text
 
     def send(self, instant: LiveInstant) -> int:
+        BEGUN.set()
         HANGS.wait(30)
         SENT.append(instant.time_s)
         return 1
@@ -52,6 +53,7 @@ def protocols(monkeypatch: pytest.MonkeyPatch) -> None:
     """Protocols of the outputs above."""
     SENT.clear()
     HANGS.clear()
+    BEGUN.clear()
     further = {
         "slow": OutputProtocol("Slow", f"{__name__}:SlowOutput", 1),
         "closed": OutputProtocol("Closed", f"{__name__}:ClosedOutput", 2, is_server=True),
@@ -81,6 +83,7 @@ def test_output_that_hangs_drops_oldest_and_others_continue() -> None:
             for number in range(20):
                 outputs.show(instant_at(float(number)))
                 receiver.recv(65_536)
+                assert BEGUN.wait(20)
             wait_for(lambda: vmc.sent == 20)
             assert (vmc.state, vmc.dropped, slow.sent, slow.dropped) == ("sending", 0, 0, 17)
             HANGS.set()
