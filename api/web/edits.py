@@ -10,8 +10,7 @@ from pydantic_core import PydanticKnownError
 
 from api.web.auth import RecordsDep
 from api.web.contract.description import Resource, problems
-from api.web.contract.examples import ID
-from api.web.contract.schemas import DescribedModel, Id, ResponseModel
+from api.web.contract.schemas import ID, DescribedModel, Id, ResponseModel
 from api.web.dependencies import ServicesDep, SessionId
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute

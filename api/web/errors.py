@@ -16,8 +16,7 @@ from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from api.web.contract.examples import ID
-from api.web.contract.schemas import DescribedModel
+from api.web.contract.schemas import ID, DescribedModel
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code, read_sentences, usual_status

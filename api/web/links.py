@@ -8,8 +8,7 @@ from pydantic import AwareDatetime, Field
 
 from api.web.auth import ALL_RESULTS, LINK, RecordsDep
 from api.web.contract.description import Resource, problems
-from api.web.contract.examples import ID
-from api.web.contract.schemas import Id, RequestModel, ResponseModel
+from api.web.contract.schemas import ID, Id, RequestModel, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep, canonical_id
 from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute

@@ -24,7 +24,7 @@ from pipeline.core.options.file_formats import FILE_FORMATS, Export
 from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
 from pipeline.core.runtime.packages import samples
-from pipeline.run.engine.costs import CAMERA_FRAME_S
+from pipeline.run.space import CAMERA_FRAME_S
 from worker.store.repositories.work.workers import installed_detectors, writable_formats
 
 

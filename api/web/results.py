@@ -10,11 +10,10 @@ from zipstream import ZIP_DEFLATED, ZIP_STORED, ZipStream
 from api.web import downloads
 from api.web.auth import ALL_RESULTS, FileViewDep, JobViewDep
 from api.web.contract.description import Resource, file_content, problems
-from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import ResponseModel
+from api.web.contract.schemas import ID, SHA256, ResponseModel
 from api.web.dependencies import JobId, Services, ServicesDep
+from api.web.downloads import archived_name, content_disposition, download_stem, result_name
 from api.web.http.conditional import ByteRange
-from api.web.http.file_names import archived_name, content_disposition, download_stem, result_name
 from pipeline.core.options.file_formats import FILE_FORMATS
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.model.job_records import JobRecord, Result

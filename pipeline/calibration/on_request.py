@@ -25,7 +25,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import KnownPoint, Up
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import INVALID_SIZE
-from pipeline.core.runtime.checking import print_answer
+from pipeline.core.runtime.confinement import print_answer
 
 
 def make_from_scene(

@@ -8,16 +8,20 @@
     bones: [[nose, neck], [neck, tail_base]]
 
 Lengths are metres. Places are in any axes of the object. Names are the names of the keypoint files.
+
+Places follow from distances by classical scaling (Torgerson 1952) and least squares by majorization (de Leeuw 1977),
+whose steps are products of matrices. Distances leave the axes open, and which of two mirror images it is.
 """
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pipeline.calibration.readers.file_storage import read_yaml
@@ -31,7 +35,6 @@ from pipeline.core.parsing import UnreadableError, in_utf_8
 from pipeline.core.paths import StrPath
 from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.core.problems.session_codes import OWN_POINTS_INVALID
-from pipeline.geometry.distance_shapes import DistancesError, places_from_distances
 
 _MAX_BYTES, _MAX_POINTS, _MAX_COMPLAINTS = 2**18, 50, 50
 # Extent across the longest line of an object, and across its plane, as shares of the extent along the line, below which
@@ -178,3 +181,51 @@ def _shape(name: str, entry: _Object, known: tuple[str, ...]) -> RigidShape:
         raise DistancesError("the points are on one line, about which it can turn unseen: add a point beside it")
     has_sides = bool(entry.points) or bool(extents_m[2] <= _FLAT * extents_m[0])
     return RigidShape(_object_name(name), tuple(_as_known(point, known) for point in points), xyz_m, has_sides)
+
+
+# Error of a measured distance, as a share of the largest one.
+_MAX_ERROR = 0.03
+# Steps of least squares at most, and the largest way of a point in the last one, as a share of the largest distance.
+_MAX_STEPS, _LAST_STEP = 500, 1e-7
+
+
+class DistancesError(ValueError):
+    """Distances contradict each other, or do not fix a shape; the message says which."""
+
+
+def places_from_distances(
+    names: Sequence[str], distances_m: Float[np.ndarray, "points points"]
+) -> Float[np.ndarray, "points 3"]:
+    """Places (metres) of points around their middle from all their distances; symmetric, NaN where one is not stated.
+
+    Raises ``DistancesError`` if a distance is missing, or no points have the distances within 3 % of the largest.
+
+    Examples
+    --------
+    >>> places_m = places_from_distances("abc", np.array([[0.0, 3.0, 4.0], [3.0, 0.0, 5.0], [4.0, 5.0, 0.0]]))
+    >>> float(np.linalg.norm(places_m[0] - places_m[2]).round(6))
+    4.0
+    """
+    pairs = list(combinations(range(len(names)), 2))
+    if missing := [f"{names[i]} to {names[j]}" for i, j in pairs if np.isnan(distances_m[i, j])]:
+        raise DistancesError(f"several shapes have these distances; state {', '.join(missing[:8])}, too")
+    centring = np.eye(len(names)) - 1.0 / len(names)
+    values, vectors = np.linalg.eigh(-0.5 * centring @ distances_m**2 @ centring)
+    places_m = vectors[:, :-4:-1] * np.sqrt(np.maximum(values[:-4:-1], 0.0))
+    for _ in range(_MAX_STEPS):
+        before_m, found_m = places_m, _apart_m(places_m)
+        share = np.divide(distances_m, found_m, out=np.zeros_like(found_m), where=found_m > 0)
+        places_m = (share.sum(1, keepdims=True) * before_m - share @ before_m) / len(names)
+        if np.abs(places_m - before_m).max() <= _LAST_STEP * distances_m.max():
+            break
+    found_m = _apart_m(places_m)
+    miss_m = np.abs(found_m - distances_m)
+    if miss_m.max() > _MAX_ERROR * distances_m.max():
+        worst = sorted(pairs, key=lambda pair: -miss_m[pair].round(4))[:3]
+        shown = [f"{names[i]} to {names[j]} is {distances_m[i, j]:g} (fits {found_m[i, j]:.3g})" for i, j in worst]
+        raise DistancesError(f"the distances contradict each other, in metres: {', '.join(shown)}")
+    return places_m
+
+
+def _apart_m(places_m: Float[np.ndarray, "points 3"]) -> Float[np.ndarray, "points points"]:
+    return np.linalg.norm(places_m[:, None] - places_m, axis=-1)

@@ -28,8 +28,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pipeline.calibration.board.spec import parse_board
-from pipeline.calibration.checks.camera_checks import check_cameras
-from pipeline.calibration.checks.places import UP_AXIS_CODES, check_places
+from pipeline.calibration.checks.camera_checks import UP_AXIS_CODES, check_cameras, check_places
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode
 from pipeline.capture import preflight_record
@@ -48,7 +47,7 @@ from pipeline.core.options.job_choices import UNITS_M, Up
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE
 from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.problems.session_codes import IMAGES_ARCHIVE
-from pipeline.core.runtime.checking import print_answer
+from pipeline.core.runtime.confinement import print_answer
 from pipeline.video.frame_rate import OF_TIMES, measured_rate_hz
 from pipeline.video.images.files import is_sequence
 

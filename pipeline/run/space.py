@@ -1,4 +1,4 @@
-"""Space on disks, and memory, that a reconstruction is foreseen to need, before it starts. Standard library only.
+"""Space, memory and work that a reconstruction is foreseen to need, before it starts. Standard library only.
 
 Bytes of a person and frame were measured on stored outputs and result files of jobs;
 ``tests/pipeline/run/test_space.py`` compares the sum with what jobs write. How many people a video shows is known after
@@ -9,8 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.capture.preflight_record import Preflight
-from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.config import JointsOfBody, Profile, ReconstructionConfig
 from pipeline.core.options.file_formats import FILE_FORMATS, Export
+from pipeline.run.engine import stage
 from pipeline.run.engine.stage import Cut, FrameCut
 
 _ASSUMED_PEOPLE = 3
@@ -269,3 +270,36 @@ def _num_pixels(camera: CameraFrames, long_side_px: int) -> float:
     width, height = camera.size_px
     scale = min(1.0, long_side_px / max(1, width, height))
     return scale**2 * width * height
+
+
+CAMERA_FRAME_S: Mapping[tuple[Profile, JointsOfBody], float] = {
+    ("fast", "body"): 0.023,
+    ("fast", "feet"): 0.054,
+    ("balanced", "feet"): 0.063,
+    ("balanced", "whole"): 0.100,
+    ("accurate", "feet"): 0.151,
+}
+"""Seconds of a job a camera's frame on one core, by profile and joints: docs/lab/measurements.md, "Profiles"."""
+
+# Seconds of a unit of the sample on one core: two people before four cameras. Other stages take about the last one.
+_UNIT_S = {
+    stage.LOOK: 0.03,
+    stage.CHECK: 0.08,
+    stage.ASSOCIATE: 0.015,
+    stage.EXPECT: 0.004,
+    stage.REDETECT: 0.014,
+    stage.FIT: 0.09,
+    stage.HOLD: 0.02,
+}
+_OTHER_UNIT_S = 0.03
+
+
+def unit_s(stage_name: str, config: ReconstructionConfig) -> float:
+    """Seconds that a unit of a stage takes on one core.
+
+    >>> unit_s("detect", ReconstructionConfig(profile="fast", joints="body"))
+    0.023
+    """
+    if stage_name == stage.DETECT:
+        return CAMERA_FRAME_S.get((config.profile, config.detected_joints), CAMERA_FRAME_S["balanced", "feet"])
+    return _UNIT_S.get(stage_name, _OTHER_UNIT_S)

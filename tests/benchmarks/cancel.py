@@ -24,8 +24,7 @@ from pipeline.core.runtime.child_processes import module_command
 from pipeline.core.runtime.packages import samples
 from pipeline.core.runtime.packages.samples import Sample
 from pipeline.detection import models
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
 from worker.store.spec import JobSpec
 
 _WORKERS = 2

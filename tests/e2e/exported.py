@@ -20,8 +20,7 @@ from pipeline.export.presets import PRESETS
 from pipeline.export.results import write_results
 from pipeline.motion.skeleton.model import SKELETON, find_skeleton, forward_kinematics
 from pipeline.run.engine.local import reconstruct
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
 from tests.pipeline.export.bvh_readers import read_with_bvh_converter, read_with_bvhio
 from tests.pipeline.export.writers.test_bvh import with_fingers
 

@@ -9,9 +9,8 @@ import httpx2
 import psutil
 import pytest
 
-from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.rigs import Clock
-from pipeline.validation.simulation.scenes import Simulation, find_scene, record
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record, simulation_files
 from tests.e2e.serving import Served
 from tests.hostile.keypoints import archive, keypoint_files
 from tests.pipeline.capture.test_session import calibration

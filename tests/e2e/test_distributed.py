@@ -28,8 +28,7 @@ from pipeline.core.runtime.packages.samples import Sample
 from pipeline.core.runtime.parent_watch import tied_to_parent
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
 from tests.api.processes import peak_bytes
 from tests.e2e.conftest import NUM_FIRST
 from tests.e2e.serving import digests

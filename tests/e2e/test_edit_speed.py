@@ -9,10 +9,9 @@ from typing import Any
 import pytest
 
 from pipeline.core.runtime.packages.samples import Sample
-from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Clock, Layout, Rig
-from pipeline.validation.simulation.scenes import Scene, record
+from pipeline.validation.simulation.scenes import Scene, record, simulation_files
 from tests.e2e.serving import Served, is_at_rest, serving
 from tests.waiting import wait_for
 

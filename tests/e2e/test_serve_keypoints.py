@@ -23,8 +23,7 @@ from pipeline.core.options.file_formats import Export, formats_of_people, instal
 from pipeline.export.results import write_results
 from pipeline.run.engine.local import reconstruct
 from pipeline.validation.evaluation.camera_errors import disturb_calibration
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
 from tests.e2e.serving import Served, digests
 from tests.pipeline.simulations import write_simulation
 

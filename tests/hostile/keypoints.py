@@ -7,8 +7,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import Simulation, find_scene, record
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record, simulation_files
 from tests.hostile.mutations import NUMBERS, OF_BYTES, OF_TEXT, spoil
 
 _NAMES = (

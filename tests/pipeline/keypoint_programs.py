@@ -15,8 +15,7 @@ from pipeline.core.data.cameras import Camera
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import BODY_25, COCO_17, COCO_18
 from pipeline.core.layouts import LAYOUTS
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import Simulation
+from pipeline.validation.simulation.scenes import Simulation, simulation_files
 
 Files = dict[str, bytes]
 Frames = Mapping[int, list[np.ndarray]]

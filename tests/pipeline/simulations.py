@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import Simulation
+from pipeline.validation.simulation.scenes import Simulation, simulation_files
 
 
 def write_simulation(simulation: Simulation, folder: Path) -> None:

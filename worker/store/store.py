@@ -20,8 +20,7 @@ from worker.store.repositories.webhooks import Webhooks, WebhookSecrets
 from worker.store.repositories.work.expiry import Removals
 from worker.store.repositories.work.leases import MAX_ATTEMPTS, Leases
 from worker.store.repositories.work.plans import Outputs, Plans
-from worker.store.repositories.work.waits import Waits
-from worker.store.repositories.work.workers import Workers
+from worker.store.repositories.work.workers import Waits, Workers
 from worker.store.tenant_records import Records, TenantRecords
 
 __all__ = ["MAX_ATTEMPTS", "JobStore"]

@@ -10,13 +10,11 @@ from worker.store.model.rights import Usage
 from worker.store.repositories.arrivals import Arrivals
 from worker.store.repositories.calibrations import Calibrations
 from worker.store.repositories.characters import Characters
-from worker.store.repositories.edits import Edits
 from worker.store.repositories.idempotency_keys import IdempotencyKeys
-from worker.store.repositories.jobs import Jobs
+from worker.store.repositories.jobs import Jobs, Results
 from worker.store.repositories.links import Links
 from worker.store.repositories.recordings import Recordings
-from worker.store.repositories.results import Results
-from worker.store.repositories.sessions import Sessions
+from worker.store.repositories.sessions import Edits, Sessions
 from worker.store.repositories.uploads import Uploads
 from worker.store.repositories.visuals import Visuals
 from worker.store.repositories.webhooks import read_secrets

@@ -9,8 +9,7 @@ from api.cli.console import JsonOption, console, emit, reporting, shows_help, wr
 from api.cli.options import SceneOption
 
 if not shows_help():
-    from pipeline.validation.simulation.files import simulation_files
-    from pipeline.validation.simulation.scenes import known_joints, simulate
+    from pipeline.validation.simulation.scenes import known_joints, simulate, simulation_files
 
 
 def command(

@@ -7,8 +7,7 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, Field
 
-from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
+from api.web.contract.schemas import ID, SHA256, FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import UploadedFootage
 from api.web.jobs.schemas import JobError
 from api.web.sessions.manifest import CameraManifest, Up

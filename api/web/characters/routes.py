@@ -7,7 +7,7 @@ from api.web.auth import RecordsDep
 from api.web.characters import intake
 from api.web.characters.schemas import CharacterChanges, CharacterOut, CharacterPage, CharacterSummaryOut
 from api.web.contract.description import Resource, file_content, location, problems
-from api.web.contract.examples import ID
+from api.web.contract.schemas import ID
 from api.web.dependencies import CharacterId, Cursor, Limit, Services, ServicesDep
 from api.web.downloads import ConditionsDep, file_responses, send_file
 from api.web.http.bodies.reading import SmallBodyRoute

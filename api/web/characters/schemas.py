@@ -5,8 +5,7 @@ from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, Field
 
-from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
+from api.web.contract.schemas import ID, SHA256, FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
 from api.web.http.bodies.form_kinds import CHARACTER, UploadedFiles
 from worker.store.model.character_records import Character, CharacterSummary
 

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 
-from api.web.contract.examples import derive_example
+from api.web.contract.schemas import derive_example
 
 _REF = "#/components/schemas/{model}"
 _SCHEMES: Mapping[str, Any] = {

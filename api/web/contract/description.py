@@ -10,7 +10,7 @@ from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from pydantic.json_schema import JsonSchemaMode
 
-from api.web.contract.examples import ID, derive_example
+from api.web.contract.schemas import ID, derive_example
 from api.web.errors import ErrorItem, ProblemDetails, status_title
 from api.web.http.bodies.form_kinds import FORM_TYPE, JSON_TYPE, VIEWS, FormKind
 from api.web.http.rates import RATE_HEADERS

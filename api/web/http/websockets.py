@@ -12,11 +12,9 @@ from starlette.websockets import WebSocket
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.frames import Frame, Opcode
 
-from api.web.contract.examples import ID
-from api.web.contract.schemas import ResponseModel
+from api.web.contract.schemas import ID, ResponseModel
 from api.web.errors import ApiError, ErrorItem, as_api_error, problem_response
-from api.web.http.bodies.field_places import NO_PLACES
-from api.web.http.bodies.validation import model_items
+from api.web.http.bodies.validation import NO_PLACES, model_items
 from api.web.http.middleware import SAFE_HEADERS, ForeignPageGuard
 from pipeline.core.problems.code_group import Code
 

@@ -4,8 +4,7 @@ from typing import Literal, Self
 
 from pydantic import AwareDatetime, Field
 
-from api.web.contract.examples import ID, TIME
-from api.web.contract.schemas import FindingOut, Id, NextCursor, ResponseModel, SpaceOut
+from api.web.contract.schemas import ID, TIME, FindingOut, Id, NextCursor, ResponseModel, SpaceOut
 from pipeline.core.options.providers import ProviderName, provider_name
 from pipeline.core.problems.code_group import Code
 from pipeline.run.engine.plan import STAGE_BY_NAME

@@ -14,9 +14,9 @@ from starlette.concurrency import run_in_threadpool
 from api.web.calibrations.intake import CALIBRATION_FORM, CheckedCalibration, begun_calibration, check_calibration
 from api.web.dependencies import Services
 from api.web.errors import ErrorItem
-from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import SPEC, VIDEOS
+from api.web.http.bodies.validation import NO_PLACES
 from api.web.http.websockets import SocketProblem
 from api.web.live.cameras import record_cameras
 from api.web.live.connection import LiveConnection

@@ -11,9 +11,9 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 
 from api.web.dependencies import Services
-from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, ReceivedFile
 from api.web.http.bodies.form_kinds import CALIBRATION, KEYPOINTS, MANIFEST, TIMESTAMPS
+from api.web.http.bodies.validation import NO_PLACES
 from api.web.live.connection import LiveConnection
 from api.web.live.problems import failed
 from api.web.live.schemas import POINTS, Layout

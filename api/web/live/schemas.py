@@ -6,8 +6,7 @@ from uuid import UUID
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 from api.web.contract.asyncapi import SocketChannel, describe_sockets
-from api.web.contract.examples import ID
-from api.web.contract.schemas import DescribedModel, RequestModel
+from api.web.contract.schemas import ID, DescribedModel, RequestModel
 from api.web.http.websockets import SocketProblemOut
 from api.web.motion import MotionPose
 from api.web.recordings.schemas import TakeCalibrationSpec

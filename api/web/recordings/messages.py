@@ -6,8 +6,7 @@ from uuid import UUID
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
 
 from api.web.contract.asyncapi import SocketChannel, describe_sockets
-from api.web.contract.examples import ID
-from api.web.contract.schemas import RequestModel, ResponseModel, printable_name
+from api.web.contract.schemas import ID, RequestModel, ResponseModel, printable_name
 from api.web.http.websockets import SocketProblemOut
 from api.web.recordings.schemas import PhoneName, RecordingOut, ServerTime, TakeName, VideoSettings
 from worker.store.model.phone_records import TakeState

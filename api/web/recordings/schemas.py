@@ -8,8 +8,7 @@ from pydantic import AfterValidator, AwareDatetime, Field
 from pydantic_core import PydanticCustomError
 
 from api.web.calibrations.schemas import BOARD_PATTERN
-from api.web.contract.examples import ID
-from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
+from api.web.contract.schemas import ID, FindingOut, Id, NextCursor, RequestModel, ResponseModel, printable_name
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
 from pipeline.core.options.job_choices import MAX_STATURE_M, MAX_STATURES, MIN_STATURE_M
 from pipeline.core.problems.request_codes import WRONG_FORMAT

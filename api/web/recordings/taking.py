@@ -13,9 +13,9 @@ from api.web.calibrations import intake
 from api.web.contract.schemas import FindingOut
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, unprocessable
-from api.web.http.bodies.field_places import NO_PLACES
 from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import CALIBRATION_ID, MANIFEST, SPEC, VIDEOS, FormKind
+from api.web.http.bodies.validation import NO_PLACES
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.recordings.schemas import TakeCalibrationSpec, TakeSessionOut, TakeSessionSpec
 from api.web.sessions.intake import check

@@ -11,7 +11,7 @@ from api.web.calibrations.intake import CALIBRATION_FORM, check_calibration
 from api.web.calibrations.schemas import UploadedCalibration
 from api.web.dependencies import Services
 from api.web.errors import ApiError, ErrorItem, as_api_error
-from api.web.http.bodies.field_places import NO_PLACES
+from api.web.http.bodies.validation import NO_PLACES
 from api.web.jobs.queueing import SpecLimits, check_spec, planned, queue_proxies, spec_limits
 from api.web.sessions.intake import check
 from api.web.sessions.receiving import Sent, spool_folder

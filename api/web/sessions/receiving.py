@@ -18,11 +18,10 @@ from api.web.contract.description import request_body
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, ErrorItem, unprocessable
 from api.web.http.bodies import form_kinds
-from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.multipart import receive_form
 from api.web.http.bodies.reading import announced_bytes, limited
-from api.web.http.bodies.validation import model_items
+from api.web.http.bodies.validation import FieldPlaces, model_items
 from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentRequestDep
 from api.web.sessions.schemas import UploadedSession
 from api.web.uploads.intake import source_fault, source_name, unfinished

@@ -7,8 +7,7 @@ from uuid import UUID
 
 from pydantic import AwareDatetime, Field
 
-from api.web.contract.examples import ID, SHA256
-from api.web.contract.schemas import FindingOut, Id, NextCursor, RequestModel, ResponseModel, SpaceOut
+from api.web.contract.schemas import ID, SHA256, FindingOut, Id, NextCursor, RequestModel, ResponseModel, SpaceOut
 from api.web.errors import ErrorItem
 from api.web.http.bodies import form_kinds
 from api.web.sessions.manifest import Manifest, SessionName

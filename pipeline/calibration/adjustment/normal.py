@@ -13,9 +13,8 @@ from scipy.sparse import block_diag, bsr_array, csc_array, csr_array, diags_arra
 from scipy.sparse.linalg import splu
 
 from pipeline.calibration.adjustment.deviations import Deviations, Posterior, posterior
-from pipeline.calibration.adjustment.parameters import EXTRINSICS, offsets
+from pipeline.calibration.adjustment.parameters import EXTRINSICS, linearise, offsets
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, FreePoints, LinkRows, Structure
-from pipeline.calibration.adjustment.projection import linearise
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import project
 

@@ -16,9 +16,9 @@ from pipeline.calibration.similarity import Similarity, umeyama
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.job_choices import MAX_KNOWN_POINTS, MAX_POINT_M, POINT_COLUMNS, KnownPoint
+from pipeline.core.parsing import open_table
 from pipeline.core.problems.finding_codes import KNOWN_POINTS_DOUBTFUL
 from pipeline.core.problems.session_codes import KNOWN_POINTS_FEW, KNOWN_POINTS_INVALID, KNOWN_POINTS_MISFIT
-from pipeline.core.tables import open_table
 from pipeline.geometry.camera import center_in_world, project, projection_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views

@@ -9,7 +9,7 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 import numpy as np
 
 from pipeline.calibration.camera_names import MAX_NAME_LENGTH, name_problem
-from pipeline.calibration.checks.places import check_places
+from pipeline.calibration.checks.camera_checks import check_places
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.known_points.point_checks import Size, scene_problems
 from pipeline.calibration.known_points.scene_pose import Marks, PoseFit, locate, locate_by_all

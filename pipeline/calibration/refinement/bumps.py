@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.calibration.adjustment.projection import linearise
+from pipeline.calibration.adjustment.parameters import linearise
 from pipeline.calibration.refinement.sightings import JointSightings
 from pipeline.core.data.cameras import Camera
 

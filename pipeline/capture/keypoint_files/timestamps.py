@@ -13,10 +13,9 @@ from pipeline.capture.names import nfc
 from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
-from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S
+from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S, Table, open_table
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import FRAMES_DROPPED
-from pipeline.core.tables import Table, open_table
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
 
 _COLUMNS = ("camera", "frame", "time_s")

@@ -19,11 +19,12 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import IO, NamedTuple, NoReturn, cast
+from dataclasses import asdict
+from typing import IO, Any, NamedTuple, NoReturn, cast
 
-from pipeline.core.errors import ChildError, printable
+from pipeline.core.errors import DISK_FULL, ChildError, InputError, Problem, listed, printable
 from pipeline.core.runtime import parent_watch
 from pipeline.core.runtime.child_processes import module_command, uninterrupted
 
@@ -346,3 +347,26 @@ def child_error(task: str, exit_code: int | None, timeout_s: float, errors: str)
     error = ChildError(f"Multicap's own {printable(task)} failed, the file is not at fault: it {ending}. {hint}")
     error.add_note(f"stderr of the {task}:\n{errors[-_LOGGED_CHARACTERS:]}")
     return error
+
+
+EXIT_BAD_INPUT = 2
+EXIT_DISK_FULL = 4
+
+
+def print_answer(check: Callable[[], Mapping[str, Any]], too_large: Problem) -> int:
+    """Print what a check answers as one JSON object, or ``{"problems": [...]}``; return the program's exit code.
+
+    ``too_large`` is the problem of files that need more memory than the caller allows.
+    """
+    try:
+        answer = check()
+    except InputError as error:
+        answer = {"problems": [asdict(problem) for problem in listed(error.problems)]}
+    except MemoryError:
+        answer = {"problems": [asdict(too_large)]}
+    except OSError as error:
+        if error.errno not in DISK_FULL:
+            raise
+        return EXIT_DISK_FULL
+    sys.stdout.write(json.dumps(answer, allow_nan=False) + "\n")
+    return EXIT_BAD_INPUT if "problems" in answer else 0

@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.findings import documents
 from pipeline.core.problems.session_codes import CHARACTER_TOO_LARGE, CHARACTER_UNREADABLE
-from pipeline.core.runtime.checking import print_answer
+from pipeline.core.runtime.confinement import print_answer
 from pipeline.export.character.bone_names import REQUIRED
 from pipeline.export.character.figure import CharacterFigure, measure
 from pipeline.export.character.mapping import map_bones, read_bone_table

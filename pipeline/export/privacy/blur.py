@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.detections import HeadRegions
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
 from pipeline.video.playback.h264 import even_size_px

@@ -14,8 +14,7 @@ from jaxtyping import Float
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, Timebase
-from pipeline.core.data.detections import Detections, PafFields
-from pipeline.core.data.heads import HeadRegions, SeenHeads
+from pipeline.core.data.detections import Detections, HeadRegions, PafFields, SeenHeads
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import JointSet
 from pipeline.geometry.camera import project

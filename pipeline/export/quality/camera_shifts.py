@@ -13,8 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import fdtrc
 
-from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS, ROTATION, move_camera
-from pipeline.calibration.adjustment.projection import linearise
+from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS, ROTATION, linearise, move_camera
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.triangulation import triangulate

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 from numpy.lib.recfunctions import repack_fields
 
 from pipeline.capture.session import Session
-from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.detections import HeadRegions
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import InputError
 from pipeline.core.options.choices import Choice

@@ -28,8 +28,7 @@ from pipeline.calibration.sizes import scaled
 from pipeline.capture.session import Session
 from pipeline.core.data.animation import FootContact, SkeletonMotion
 from pipeline.core.data.cameras import Camera, Timebase
-from pipeline.core.data.detections import Detections
-from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.detections import Detections, HeadRegions
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.progress import OnShare, ignore, split, sub_share

@@ -10,8 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from pipeline.capture.session import Session
 from pipeline.core.data.cameras import FrameTimes, Timebase
-from pipeline.core.data.detections import Detections
-from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.detections import Detections, HeadRegions
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.progress import OnShare
 from pipeline.export.privacy.blur import blur_ellipses

@@ -16,7 +16,9 @@ Visual3D: labels ``Foot Strike`` and ``Foot Off`` with the contexts ``Left`` and
 events. Times are from the file's first frame on, in minutes and seconds.
 
 With a laboratory's file whose time is known, the person is at its frames and in its unit of lengths; its analog
-channels, force plates and events are added, see ``c3d_laboratory``.
+channels, force plates and events are added. Samples are floats in the file, which hold every integer of 16 bits: each
+number is the laboratory's, and scales and offsets stay. Corners of force plates are in the world of the points; all
+else of a plate is along its own axes.
 
 Takes of more than 65,535 frames have their number of frames in ``TRIAL:ACTUAL_END_FIELD`` and ``POINT:LONG_FRAMES``.
 """
@@ -25,6 +27,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -40,12 +43,11 @@ from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import JointSet
 from pipeline.export.resample import on_clock
 from pipeline.export.timelines import frame_blocks, unknown_outside
-from pipeline.export.writers.c3d_laboratory import per_frame, with_groups, with_samples
 from pipeline.export.writers.registry import PersonContent, Writer, joint_positions
 from pipeline.motion.angles.compute import observed
 from pipeline.motion.body_segments import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
 from pipeline.motion.gait.analysis import MarkedEvent, analyse_gait, marked_events
-from pipeline.motion.laboratory.plates import UNITS_M
+from pipeline.motion.laboratory.plates import UNITS_M, plate_corners_m
 from pipeline.motion.skeleton.model import INDEX, posed_joints
 
 
@@ -426,3 +428,49 @@ WRITER = Writer(
     has_origin=True,
     frames=lambda person: _shown(person).frames,
 )
+
+
+_SECONDS_PER_MINUTE = 60.0
+# Events that the blocks of parameters hold beside the rest, and their bytes.
+_MAX_EVENTS, _MAX_EVENT_BYTES = 2000, 64_000
+
+
+def per_frame(laboratory: Laboratory) -> tuple[int, int]:
+    """Analog numbers of a frame, and samples of a channel in it."""
+    return laboratory.samples_per_frame * laboratory.samples.shape[1], laboratory.samples_per_frame
+
+
+def with_samples(points: Iterator[bytes], laboratory: Laboratory) -> Iterator[bytes]:
+    """Blocks of points, each frame with its samples after it."""
+    samples = laboratory.samples.reshape(laboratory.num_frames, -1)
+    for block, part in zip(points, frame_blocks(len(samples)), strict=True):
+        rows = np.frombuffer(block, "<f4").reshape(part.stop - part.start, -1)
+        yield np.concatenate([rows, samples[part].astype("<f4")], axis=1).tobytes()
+
+
+def with_groups(
+    groups: Mapping[str, Mapping[str, Any]],
+    events: Sequence[LaboratoryEvent],
+    laboratory: Laboratory | None,
+    origin_m: Float[np.ndarray, " 3"],
+) -> dict[str, Mapping[str, Any]]:
+    """Groups of a file with the events, and with channels, force plates and events of a laboratory."""
+    added: dict[str, Mapping[str, Any]] = {}
+    if laboratory is not None:
+        events = sorted((*events, *laboratory.events), key=lambda event: event.time_s)
+        added["ANALOG"] = {**laboratory.groups["ANALOG"], "RATE": [laboratory.sample_rate_hz]}
+        if plates := laboratory.groups["FORCE_PLATFORM"]:
+            corners = (plate_corners_m(laboratory) - origin_m) / UNITS_M[laboratory.unit]
+            added["FORCE_PLATFORM"] = {**plates, "CORNERS": corners} if len(corners) else plates
+    if events:
+        widths = [max(map(len, texts)) for texts in zip(*(event[:3] for event in events), strict=True)]
+        events = events[: min(_MAX_EVENTS, _MAX_EVENT_BYTES // (8 + sum(widths)))]
+        times = np.stack(np.divmod([event.time_s for event in events], _SECONDS_PER_MINUTE), axis=1)
+        added["EVENT"] = {
+            "USED": [len(events)],
+            "CONTEXTS": [event.context for event in events],
+            "LABELS": [event.label for event in events],
+            "SUBJECTS": [event.subject for event in events],
+            "TIMES": times,
+        }
+    return {**groups, **added}

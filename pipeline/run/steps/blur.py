@@ -11,7 +11,7 @@ from pipeline.core.options.job_choices import BLURRED_KIND, blurred_name
 from pipeline.run.engine import stage
 
 if TYPE_CHECKING:
-    from pipeline.core.data.heads import HeadRegions
+    from pipeline.core.data.detections import HeadRegions
 
 
 def _blurs_heads(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
@@ -88,7 +88,7 @@ def blur_videos(task: stage.Task, context: stage.Context) -> stage.Output:
 
 def head_regions_in(context: stage.Context, camera: str) -> "HeadRegions | None":
     """Heads to be blurred in the pictures of a camera; ``None`` if none are."""
-    from pipeline.core.data.heads import HeadRegions
+    from pipeline.core.data.detections import HeadRegions
 
     if not (context.config.blur_faces and context.facts.has_videos):
         return None

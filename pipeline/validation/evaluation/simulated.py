@@ -27,7 +27,7 @@ from pipeline.core.runtime.record_archive import decode, save
 from pipeline.export.quality.report import bone_length_std_cm, mean_jitter_m_s2
 from pipeline.run.engine.stage import FrameCut
 from pipeline.validation.evaluation import mpjpe
-from pipeline.validation.evaluation.mot import MotFrame, score_mot
+from pipeline.validation.evaluation.mpjpe import MotFrame, score_mot
 from pipeline.validation.simulation.scenes import Simulation
 from pipeline.validation.simulation.views.fields import GRID, render
 from pipeline.video.timeline import span_s
@@ -43,7 +43,7 @@ def score_simulated(tracks: Sequence[Track3D], simulation: Simulation, joints: J
     The result has:
 
     - ``mpjpe_mm``, ``recall``, ``ghost_rate``, ``switches``: see ``evaluation.mpjpe``.
-    - ``mota``, ``idf1``: see ``evaluation.mot``; pairs match within 0.5 m.
+    - ``mota``, ``idf1``: see ``evaluation.mpjpe``; pairs match within 0.5 m.
     - ``bone_std_cm``, ``jitter_m_s2``: see ``quality.report``; ``None`` without tracks.
     - ``people_correct``: share of frames with as many tracks as people.
     - ``hands_kept``: share of the frames with two touching people in which all four wrists are within 0.15 m of the

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.capture.slow_motion import slow_motion
+from pipeline.capture.clock import slow_motion
 from pipeline.core.data.cameras import FrameTimes
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.core.tables import open_table
+from pipeline.core.parsing import open_table
 
 TEXT = "camera,frame,time_s\ncam_1,0,0.25\ncam_1,1,-1.5e-2\n"
 ROWS = [

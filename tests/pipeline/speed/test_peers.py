@@ -32,8 +32,7 @@ from pipeline.run.engine.local import detect_people, reconstruct
 from pipeline.run.warm_up import warm_up
 from pipeline.validation.evaluation.datasets.rendered import RenderedTruth, load_rendered, score_rendered
 from pipeline.validation.evaluation.mpjpe import BODY_JOINTS, GATE_M, accuracy
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
 
 PEERS = Path(__file__).parents[3] / ".venv-speed"
 RUNNERS = Path(__file__).parent / "peers"

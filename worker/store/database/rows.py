@@ -17,9 +17,8 @@ from pipeline.core.options.config import ReconstructionConfig, method_warnings
 from pipeline.core.options.edits import PeopleEdit, read_edit
 from pipeline.core.options.job_choices import BLURRED_KIND, CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.core.records import from_json
-from pipeline.run.engine.costs import unit_s
 from pipeline.run.engine.stage import DETECT
-from pipeline.run.space import foreseen_space
+from pipeline.run.space import foreseen_space, unit_s
 from worker.store.database.connection import now
 from worker.store.database.tables import chunks, edits, jobs, results, sessions
 from worker.store.model.character_records import JobCharacter

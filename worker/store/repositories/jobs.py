@@ -1,4 +1,4 @@
-"""Jobs: added, read, canceled, retried, deleted."""
+"""Jobs: added, read, canceled, retried, deleted; and their result files."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, replace
@@ -9,16 +9,30 @@ from uuid_utils import uuid7
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.edits import PeopleEdit, edit_document
+from pipeline.core.options.job_choices import BLURRED_KIND
+from pipeline.core.records import from_json
+from pipeline.run.engine.stage import VIEWER
 from worker.store.database import stored_files
 from worker.store.database.access import Access, Repository, existing, newest_first
 from worker.store.database.connection import now
-from worker.store.database.rows import is_in_state, read_jobs, select_jobs
+from worker.store.database.rows import is_in_state, read, read_jobs, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
 from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
-from worker.store.errors import Conflict, VideosDeleted
+from worker.store.errors import Conflict, NoResults, NotFinished, NotFound, VideosDeleted
 from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model.character_records import JobCharacter
-from worker.store.model.job_records import SIDE_KINDS, Attempt, JobKind, JobRecord, Making, job_config, job_kind
+from worker.store.model.job_records import (
+    SIDE_KINDS,
+    Attempt,
+    JobKind,
+    JobProblem,
+    JobRecord,
+    Making,
+    Result,
+    is_worth_a_retry,
+    job_config,
+    job_kind,
+)
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.states import FINISHED, REMAKABLE, RETRYABLE, ChunkState, JobState
 from worker.store.model.work import Change, Precedence, Remake, StagePlan
@@ -26,8 +40,7 @@ from worker.store.repositories.arrivals import wait_for_videos
 from worker.store.repositories.attempts import keep_attempt, read_attempts
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
-from worker.store.repositories.edits import read_session_edits, replace_edits
-from worker.store.repositories.sessions import delete_proxies, lock_session
+from worker.store.repositories.sessions import delete_proxies, lock_session, read_session_edits, replace_edits
 from worker.store.repositories.work.plans import insert_chunks, plan_changes, require_videos
 from worker.store.spec import FilesAdded, JobSpec
 
@@ -330,3 +343,75 @@ def job_row(connection: Connection, access: Access, job_id: str, lock: bool = Fa
     """Row of a job, locked until the transaction ends if asked for; ``NotFound`` if there is none."""
     query = select(jobs).where(jobs.c.id == job_id, access.may_reach(jobs))
     return existing(connection.execute(query.with_for_update() if lock else query).one_or_none(), "job")
+
+
+class Results(Repository):
+    """Results of the jobs of a tenant, or of all tenants."""
+
+    def downloads(self, job_id: str) -> list[Result]:
+        """Results of a job for downloads, by name, without the files of viewers; errors like ``all``."""
+        return [result for result in self.all(job_id) if result.kind != VIEWER]
+
+    def all(self, job_id: str) -> list[Result]:
+        """Results of a job, by name.
+
+        Raises ``NotFound``, ``NotFinished`` if no revision of the job has succeeded yet, or ``NoResults`` if it failed
+        or was canceled before.
+        """
+        query = select(results).where(results.c.job_id == job_id).order_by(results.c.name)
+        with self._access.reading() as connection:
+            job = job_row(connection, self._access, job_id)
+            if job.results_revision is None and job.state not in FINISHED:
+                raise NotFinished("The job is unfinished; its results come with its end.")
+            found = [read(Result, row) for row in connection.execute(query)]
+        if not found and job.results_revision is None:
+            problem = from_json(JobProblem, job.problem)
+            reason = f"{problem.code}: {problem.detail}" if problem else None
+            raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
+        return found
+
+    def listed(self, job_id: str, name: str) -> Result | None:
+        """Result of a job by name, in whatever state the job is; ``None`` if there is none of this name.
+
+        Raises ``NotFound`` if there is no such job.
+        """
+        query = select(results).where(results.c.job_id == job_id, results.c.name == name)
+        with self._access.reading() as connection:
+            job_row(connection, self._access, job_id)
+            row = connection.execute(query).one_or_none()
+        return None if row is None else read(Result, row)
+
+    def proxy(self, session_id: str, name: str) -> Result | None:
+        """Proxy of a session by its name, as soon as it is made; ``None`` before, and without a session."""
+        query = (
+            select(results)
+            .join(jobs)
+            .where(jobs.c.session_id == session_id, jobs.c.kind == "proxies", results.c.name == name)
+            .where(self._access.may_reach(jobs))
+            .order_by(jobs.c.id.desc())
+            .limit(1)
+        )
+        with self._access.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else read(Result, row)
+
+    def blurred(self, session_id: str, name: str) -> Result | None:
+        """Blurred video of a session by its name, of the newest job that has made it; ``None`` if none has."""
+        query = (
+            select(results)
+            .join(jobs)
+            .where(jobs.c.session_id == session_id, results.c.kind == BLURRED_KIND, results.c.name == name)
+            .where(self._access.may_reach(jobs), jobs.c.state != JobState.EXPIRED)
+            .order_by(jobs.c.id.desc())
+            .limit(1)
+        )
+        with self._access.reading() as connection:
+            row = connection.execute(query).one_or_none()
+        return None if row is None else read(Result, row)
+
+    def get(self, job_id: str, name: str) -> Result:
+        """Result of a job by name; errors like ``all``, and ``NotFound`` if there is none of this name."""
+        for result in self.all(job_id):
+            if result.name == name:
+                return result
+        raise NotFound("The job has no result of this name.")

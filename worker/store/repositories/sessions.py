@@ -1,4 +1,4 @@
-"""Capture sessions."""
+"""Capture sessions, edits of their people, and the people that jobs found."""
 
 import unicodedata
 from collections import defaultdict
@@ -12,16 +12,17 @@ from uuid_utils import uuid7
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
+from pipeline.core.options.edits import PeopleEdit, PersonSpan, edit_document
 from pipeline.core.options.job_choices import BLURRED_KIND
 from worker.store.database.access import Access, Repository, existing, newest_first
-from worker.store.database.connection import now
-from worker.store.database.rows import is_in_state, read_session
+from worker.store.database.connection import now, upsert
+from worker.store.database.rows import is_in_state, read_edits, read_session
 from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
-from worker.store.database.tables import BLURS_FACES, jobs, results, sessions
-from worker.store.errors import Conflict, NotFound
+from worker.store.database.tables import BLURS_FACES, edits, found_people, jobs, results, sessions
+from worker.store.errors import Conflict, EditedMeanwhile, NotFound
 from worker.store.files.file_keys import job_prefix, session_prefix, thumbnails_prefix
 from worker.store.model.job_records import SIDE_KINDS, NewestJob
-from worker.store.model.session_records import Capture, InputFile, Purpose, Session
+from worker.store.model.session_records import Capture, InputFile, Purpose, Session, SessionEdits
 from worker.store.model.states import FINISHED, UNFINISHED, JobState, job_state
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
@@ -335,3 +336,54 @@ def lock_session(connection: Connection, access: Access, session_id: str) -> str
     """
     query = select(sessions.c.tenant).where(sessions.c.id == session_id, access.may_reach(sessions)).with_for_update()
     return existing(connection.scalar(query), "session")
+
+
+class Edits(Repository):
+    """Edits of a tenant's sessions, or of all sessions."""
+
+    def get(self, session_id: str) -> SessionEdits:
+        """Edits of a session; ``NotFound`` if there is none."""
+        with self._access.reading() as connection:
+            return read_session_edits(connection, self._access, session_id)
+
+    def replace(self, session_id: str, new: Sequence[PeopleEdit], revision: int | None = None) -> SessionEdits:
+        """Replace the edits of a session; see ``replace_edits``. Its jobs stay as they are."""
+        with self._access.writing() as connection:
+            return replace_edits(connection, self._access, session_id, new, revision)
+
+    def people(self, job_id: str) -> tuple[PersonSpan, ...]:
+        """People that a job found, before any edit, in the order of their numbers."""
+        query = select(found_people).join(jobs).where(jobs.c.id == job_id, self._access.may_reach(jobs))
+        with self._access.reading() as connection:
+            return tuple(
+                PersonSpan(row.id, row.start_frame, row.num_frames, tuple(map(tuple, row.places)))
+                for row in connection.execute(query.order_by(found_people.c.id))
+            )
+
+
+def read_session_edits(connection: Connection, access: Access, session_id: str) -> SessionEdits:
+    """Edits of a session; ``NotFound`` if there is none."""
+    query = select(edits.c.revision, edits.c.list).select_from(sessions.outerjoin(edits))
+    row = existing(
+        connection.execute(query.where(sessions.c.id == session_id, access.may_reach(sessions))).one_or_none(),
+        "session",
+    )
+    return SessionEdits() if row.revision is None else SessionEdits(row.revision, read_edits(row.list))
+
+
+def replace_edits(
+    connection: Connection, access: Access, session_id: str, new: Sequence[PeopleEdit], revision: int | None
+) -> SessionEdits:
+    """Replace the edits of a session, and lock it until the transaction ends.
+
+    ``revision`` is the one that the caller has read; ``None``: any. Raises ``NotFound``, or ``EditedMeanwhile`` if the
+    edits have another one.
+    """
+    tenant = lock_session(connection, access, session_id)
+    before = read_session_edits(connection, access, session_id)
+    if revision is not None and revision != before.revision:
+        raise EditedMeanwhile(before.revision, revision)
+    documents = [edit_document(edit) for edit in new]
+    upsert(connection, edits, {"session_id": session_id, "revision": before.revision + 1, "list": documents})
+    record_event(connection, access.actor, tenant, AuditAction.SESSION_EDITED, session_id)
+    return SessionEdits(before.revision + 1, tuple(new))

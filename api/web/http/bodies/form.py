@@ -16,7 +16,6 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Literal
 
 from api.web.errors import ApiError, ErrorItem, pointer_to
-from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form_kinds import (
     CHARACTER,
     IMAGES,
@@ -28,6 +27,7 @@ from api.web.http.bodies.form_kinds import (
     VIEWS,
     FormKind,
 )
+from api.web.http.bodies.validation import FieldPlaces
 from pipeline.capture.parts import group_parts
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code

@@ -6,8 +6,7 @@ from uuid import UUID
 
 from pydantic import BaseModel, Field
 
-from api.web.contract.examples import UPLOAD_IDS
-from api.web.contract.schemas import RequestModel, SourceUrl
+from api.web.contract.schemas import UPLOAD_IDS, RequestModel, SourceUrl
 from pipeline.core.problems.code_group import Code
 
 VIDEOS, KEYPOINTS, CALIBRATION, TIMESTAMPS = "videos", "keypoints", "calibration", "timestamps"

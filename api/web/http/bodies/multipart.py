@@ -12,10 +12,10 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
 from api.web.errors import ApiError
-from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, FormLimits, Parts, too_large
 from api.web.http.bodies.form_kinds import FORM_TYPE, FormKind
 from api.web.http.bodies.reading import announced_bytes, blocks, drain
+from api.web.http.bodies.validation import FieldPlaces
 from pipeline.core.problems.request_codes import MALFORMED_MULTIPART, UNSUPPORTED_MEDIA_TYPE
 from worker.store.files.disk import DiskSpace
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import FrameTimes, Timebase
-from pipeline.core.data.heads import SeenHeads
+from pipeline.core.data.detections import SeenHeads
 from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.errors import InputError, Problem

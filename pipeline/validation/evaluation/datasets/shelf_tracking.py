@@ -29,7 +29,7 @@ from pipeline.core.joints import COCO_17
 from pipeline.geometry.camera import project
 from pipeline.validation.evaluation.baselines import Triangulation, associate_pairwise, locate_incrementally
 from pipeline.validation.evaluation.datasets import shelf
-from pipeline.validation.evaluation.mot import MotFrame, box_overlap, score_mot
+from pipeline.validation.evaluation.mpjpe import MotFrame, box_overlap, score_mot
 from pipeline.validation.evaluation.pcp import LIMB_JOINTS, benchmark_joints
 
 _NEAR_M = 0.5

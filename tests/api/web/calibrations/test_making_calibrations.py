@@ -14,10 +14,9 @@ import pytest
 from api.web.settings import Settings
 from pipeline.calibration.board.spec import parse_board
 from pipeline.geometry.camera import center_in_world, project
-from pipeline.validation.simulation.files import simulation_files
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
-from pipeline.validation.simulation.scenes import Scene, Simulation, record
+from pipeline.validation.simulation.scenes import Scene, Simulation, record, simulation_files
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.calibration.board.filmed_boards import BoardPainter, board_poses
 from tests.pipeline.media import write_pictures

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from api.web.contract.examples import ID, derive_example
+from api.web.contract.schemas import ID, derive_example
 
 MODELS = {"Camera": {"type": "object", "properties": {"name": {"type": "string", "examples": ["left"]}}}}
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.web.http.file_names import archived_name, content_disposition, result_name, take_name
+from api.web.downloads import archived_name, content_disposition, result_name, take_name
 
 # Characters that Windows, macOS or a header would not take, and those with a meaning in paths.
 _FORBIDDEN = set('<>:"/\\|?*%;\x7f') | {chr(code) for code in range(32)}

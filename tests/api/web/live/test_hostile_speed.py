@@ -22,8 +22,7 @@ import pytest
 from multicap.live import LiveOptions, connect_sync
 from pipeline.core.runtime.resources import lower_priority
 from pipeline.run.live.records import recorded_frames
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import Simulation, find_scene, record
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record, simulation_files
 from tests.api.web.live.messages import start_message
 from tests.e2e.serving import Served, serving
 

@@ -25,8 +25,7 @@ from pipeline.detection.entries import find_entry
 from pipeline.run.live.capture import LiveCapture
 from pipeline.run.live.records import LiveInstant, LiveSkeleton, RecordedFrame, recorded_frames
 from pipeline.run.live.settings import LiveSettings
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import Simulation, find_scene, record
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record, simulation_files
 from tests.api.conftest import Live, running
 from tests.pipeline.simulations import write_simulation
 from tests.warm_programs import WarmPrograms

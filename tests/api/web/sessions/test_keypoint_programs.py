@@ -20,8 +20,7 @@ from pipeline.calibration.vertical import AXES, turn_upright
 from pipeline.calibration.write import encode
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.layouts import FILE_LAYOUTS
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import Simulation, find_scene, record
+from pipeline.validation.simulation.scenes import Simulation, find_scene, record, simulation_files
 from tests.api.conftest import Live, problem_of, running
 from tests.pipeline.keypoint_programs import Files, freemocap_array, keypoint_files, write_session
 from tests.warm_programs import WarmPrograms

@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, move_camera, offsets
+from pipeline.calibration.adjustment.parameters import NUM_PARAMETERS, linearise, move_camera, offsets
 from pipeline.calibration.adjustment.problem import FreePoints, RigidBodies, Structure
-from pipeline.calibration.adjustment.projection import linearise
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.rigid import Rigid3

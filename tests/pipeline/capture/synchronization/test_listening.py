@@ -10,8 +10,7 @@ import pytest
 from pipeline.capture.camera_files import Recording
 from pipeline.capture.session import open_session
 from pipeline.capture.synchronization.session_clocks import listen
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import find_scene, record
+from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
 from tests.pipeline.media import write_video
 from tests.pipeline.video.test_sound import CLICKS_S, clicks, filmed
 

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import FrameTimes, Timebase
-from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.detections import HeadRegions
 from pipeline.export.overlay import draw_video
 from pipeline.export.privacy.blur import blur_ellipses, write_blurred
 from pipeline.video.decode import decode

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.core.data.cameras import Camera, Timebase
-from pipeline.core.data.detections import Detections, MapGrid, PafFields
-from pipeline.core.data.heads import HeadRegions, SeenHeads
+from pipeline.core.data.detections import Detections, HeadRegions, MapGrid, PafFields, SeenHeads
 from pipeline.core.joints import COCO_17, COCO_18
 from pipeline.export.privacy.heads import (
     FACE,

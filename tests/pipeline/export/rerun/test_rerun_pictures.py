@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pipeline.capture.session import CaptureSession
 from pipeline.core.data.cameras import FrameTimes, Timebase
-from pipeline.core.data.heads import HeadRegions
+from pipeline.core.data.detections import HeadRegions
 from pipeline.core.progress import ignore
 from pipeline.export.rerun.rerun_pictures import MAX_RATE_HZ, small_pictures, thinned
 from pipeline.video.info import VideoInfo

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.core.joints import BODY_25, finger_joints
-from pipeline.validation.simulation.files import simulation_files
-from pipeline.validation.simulation.scenes import SCENES, Joints, Simulation, record
+from pipeline.validation.simulation.scenes import SCENES, Joints, Simulation, record, simulation_files
 from pipeline.validation.simulation.views.detector import PERFECT
 
 

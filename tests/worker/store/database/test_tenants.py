@@ -12,11 +12,9 @@ from worker.store.errors import NotFound
 from worker.store.model.job_records import JobProblem
 from worker.store.model.rights import Actor, LinkScope
 from worker.store.model.work import Remake
-from worker.store.repositories.edits import Edits
-from worker.store.repositories.jobs import Jobs
+from worker.store.repositories.jobs import Jobs, Results
 from worker.store.repositories.links import Links
-from worker.store.repositories.results import Results
-from worker.store.repositories.sessions import Sessions
+from worker.store.repositories.sessions import Edits, Sessions
 from worker.store.repositories.visuals import Visuals
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords

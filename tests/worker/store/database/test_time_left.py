@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis.strategies import floats, integers
 
 from pipeline.core.options.config import ReconstructionConfig
-from pipeline.run.engine.costs import unit_s
 from pipeline.run.engine.stage import ASSOCIATE, DETECT, FIT, LOOK
+from pipeline.run.space import unit_s
 from worker.store.database.rows import time_left_s
 from worker.store.model.job_records import StageProgress
 from worker.store.model.states import ChunkState

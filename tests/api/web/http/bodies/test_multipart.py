@@ -18,9 +18,9 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.types import Message
 
 from api.web.errors import ApiError
-from api.web.http.bodies.field_places import FieldPlaces
 from api.web.http.bodies.form import Form, FormLimits, name_error
 from api.web.http.bodies.multipart import receive_form
+from api.web.http.bodies.validation import FieldPlaces
 from api.web.sessions.schemas import SESSION_FORM
 from api.web.settings import Settings
 from tests.api.conftest import Live, form, problem_of, running

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from api.web.errors import MAX_LISTED, MEANINGS
-from api.web.http.bodies.field_places import FieldPlaces
+from api.web.http.bodies.validation import FieldPlaces
 from api.web.sessions.manifest import CameraManifest, Manifest
 from api.web.settings import KIB, Settings
 from pipeline.core.options import rules

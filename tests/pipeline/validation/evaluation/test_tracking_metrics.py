@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pipeline.validation.evaluation.mot import MotFrame, box_overlap, score_mot
+from pipeline.validation.evaluation.mpjpe import MotFrame, box_overlap, score_mot
 
 
 def frame(people: list[int], tracks: list[int], pairs: list[tuple[int, int]]) -> MotFrame:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.geometry.distance_shapes import DistancesError, places_from_distances
+from pipeline.capture.own_points_file import DistancesError, places_from_distances
 
 PLACES_M = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.3], [0.2, 0.3, -0.2]])
 NAMES = ("a", "b", "c", "d", "e")
