@@ -17,6 +17,11 @@ from pipeline.core.runtime.resources import release_pages
 NUM_BYTES = 2 * large_arrays.MIN_BYTES
 
 
+@pytest.fixture(autouse=True)
+def no_memory_for_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(large_arrays, "MAX_HELD_BYTES", 0)
+
+
 def shared_bytes() -> int:
     """Memory of the process that belongs to files."""
     (line,) = (line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssFile"))
@@ -36,6 +41,14 @@ def test_large_array_content_survives_release_of_its_pages() -> None:
 def test_small_array_is_in_memory() -> None:
     assert large_arrays.empty((10, 2), np.float32).base is None
     assert large_arrays.empty((NUM_BYTES,), bool).base is not None
+
+
+def test_large_arrays_are_in_memory_while_it_has_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(large_arrays, "MAX_HELD_BYTES", 2 * NUM_BYTES)
+    held = [large_arrays.empty((NUM_BYTES,), np.uint8)[1:] for _ in range(2)]
+    assert large_arrays.empty((NUM_BYTES,), np.uint8).base is not None
+    del held[0]
+    assert large_arrays.empty((NUM_BYTES,), np.uint8).base is None
 
 
 def test_blocks_have_every_row_once() -> None:

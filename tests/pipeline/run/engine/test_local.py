@@ -70,6 +70,7 @@ def test_arrays_in_files_change_no_byte(
 ) -> None:
     in_memory = reconstruct_to_files(session, tmp_path / "memory", TRACKING)
     monkeypatch.setattr(large_arrays, "MIN_BYTES", 1)
+    monkeypatch.setattr(large_arrays, "MAX_HELD_BYTES", 0)
     in_files = reconstruct_to_files(session, tmp_path / "files", TRACKING)
     assert [path.name for path in in_files.paths] == [path.name for path in in_memory.paths]
     for path in in_files.paths:
