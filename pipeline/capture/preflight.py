@@ -15,7 +15,6 @@ With a calibration alone it checks that, and prints what it contains. ``--videos
 """
 
 import argparse
-import errno
 import hashlib
 import json
 import math
@@ -250,11 +249,8 @@ def _check(arguments: argparse.Namespace) -> dict[str, Any]:
         if arguments.laboratory:
             preflight = replace(preflight, laboratory=json.loads(arguments.laboratory_facts))
     if arguments.record:
-        _write_record(
-            arguments.record,
-            session,
-            "keypoints" if arguments.keypoints else "points" if arguments.points else "frame times",
-        )
+        with arguments.record.open("wb") as file:
+            save_record(session, file)
     return preflight.to_json()
 
 
@@ -270,18 +266,6 @@ def _check_calibration(arguments: argparse.Namespace) -> dict[str, Any]:
         "warnings": documents([*notes, *doubts]),
         "text": encode(contents.cameras).decode(),
     }
-
-
-def _write_record(path: Path, session: Session, content: str) -> None:
-    try:
-        with path.open("wb") as file:
-            save_record(session, file)
-    except OSError as error:
-        # The caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it.
-        if error.errno != errno.EFBIG:
-            raise
-        message = f"The {content} of the capture are larger than the service stores."
-        raise InputError([Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several.")]) from None
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -327,7 +311,7 @@ def main(words: Sequence[str] | None = None) -> int:
         arguments.up = arguments.up or "z"
     if not (arguments.calibration or arguments.videos or arguments.points):
         parser.error("name a calibration")
-    message = "The check of the files needs more memory than the service allows."
+    message = "The check of the files needs more memory than the service allows, or stores more."
     too_large = Problem(SESSION_TOO_LARGE, message, hint="Cut the capture into several, or lower its resolution.")
 
     def check() -> dict[str, Any]:

@@ -9,6 +9,7 @@ opens its file. A child starts for each file, so that its modules import little:
 modules, and forks (``run_in_forks``).
 """
 
+import errno
 import json
 import os
 import resource
@@ -356,7 +357,7 @@ EXIT_DISK_FULL = 4
 def print_answer(check: Callable[[], Mapping[str, Any]], too_large: Problem) -> int:
     """Print what a check answers as one JSON object, or ``{"problems": [...]}``; return the program's exit code.
 
-    ``too_large`` is the problem of files that need more memory than the caller allows.
+    ``too_large`` is the problem of files that need more memory, or larger files, than the caller allows.
     """
     try:
         answer = check()
@@ -365,8 +366,10 @@ def print_answer(check: Callable[[], Mapping[str, Any]], too_large: Problem) -> 
     except MemoryError:
         answer = {"problems": [asdict(too_large)]}
     except OSError as error:
-        if error.errno not in DISK_FULL:
+        if error.errno in DISK_FULL:
+            return EXIT_DISK_FULL
+        if error.errno != errno.EFBIG:  # the caller's limit, RLIMIT_FSIZE; Python ignores the signal that goes with it
             raise
-        return EXIT_DISK_FULL
+        answer = {"problems": [asdict(too_large)]}
     sys.stdout.write(json.dumps(answer, allow_nan=False) + "\n")
     return EXIT_BAD_INPUT if "problems" in answer else 0

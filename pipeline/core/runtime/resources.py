@@ -105,6 +105,8 @@ def map_file(num_bytes: int) -> mmap.mmap:
 
     Raises ``OSError`` if the disk is full.
     """
+    if not _mapped:  # each file that is mapped keeps a descriptor, and many systems allow 256 or 1024 at first
+        raise_descriptor_limit()
     with tempfile.TemporaryFile() as file:
         if hasattr(os, "posix_fallocate"):  # else a full disk would end the process at a write
             try:

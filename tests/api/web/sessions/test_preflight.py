@@ -157,8 +157,7 @@ def test_session_whose_record_is_too_large_is_refused(tmp_path: Path) -> None:
         PreflightProgram(command, 60.0, 1_000_000, 15_000, 3 * GIB).check(words, spool / "record")
     (error,) = raised.value.errors
     assert error.code == "session_too_large"
-    assert error.message == "The keypoints of the capture are larger than the service stores."
-    assert error.hint == "Cut the capture into several."
+    assert error.message == "The check of the files needs more memory than the service allows, or stores more."
 
 
 def test_session_of_too_many_joints_is_refused(tmp_path: Path) -> None:

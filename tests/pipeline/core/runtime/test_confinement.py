@@ -1,13 +1,17 @@
 """Confined programs: limits, output, and the errors of each kind of end."""
 
+import errno
+import json
 import os
 import signal
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from pipeline.core.errors import ChildError
+from pipeline.core.errors import ChildError, Problem
+from pipeline.core.problems.request_codes import SESSION_TOO_LARGE
 from pipeline.core.runtime import child_processes, confinement
 from pipeline.core.runtime.confinement import BeyondLimitsError, ChildLimits, FileRefusedError, run_confined
 
@@ -74,3 +78,23 @@ def test_refused_file_raises_with_its_text(monkeypatch: pytest.MonkeyPatch) -> N
 def test_other_end_is_not_fault_of_file(monkeypatch: pytest.MonkeyPatch, act: str, words: str) -> None:
     with pytest.raises(ChildError, match=f"check of a.mp4 failed, the file is not at fault: {words}"):
         run(monkeypatch, act)
+
+
+@pytest.mark.parametrize(
+    ("error", "exit_code", "codes"),
+    [
+        (MemoryError(), 2, ["session_too_large"]),
+        (OSError(errno.EFBIG, "File too large"), 2, ["session_too_large"]),
+        (OSError(errno.ENOSPC, "No space left on device"), 4, None),
+    ],
+    ids=["memory", "file size", "full disk"],
+)
+def test_check_beyond_its_limits_answers_a_problem(
+    error: Exception, exit_code: int, codes: list[str] | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def check() -> dict[str, Any]:
+        raise error
+
+    assert confinement.print_answer(check, Problem(SESSION_TOO_LARGE, "It is too large.")) == exit_code
+    output = capsys.readouterr().out
+    assert (output and [problem["code"] for problem in json.loads(output)["problems"]]) == (codes or "")

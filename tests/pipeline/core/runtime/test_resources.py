@@ -63,6 +63,11 @@ def test_descriptor_limit_is_raised_for_children_too() -> None:
     assert run("100:1500", RAISE + "import sys; sys.stdout.flush()\n" + OF_CHILD) == [1500, 1500]
 
 
+def test_mapped_files_may_be_more_than_first_limit_of_descriptors() -> None:
+    program = "from pipeline.core.runtime.resources import map_file\nprint(len([map_file(1) for _ in range(150)]))"
+    assert run("100:1500", program) == [150]
+
+
 def test_limit_that_is_high_already_stays() -> None:
     assert run("1500:1500", RAISE) == [1500]
 
