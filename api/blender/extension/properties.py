@@ -91,7 +91,7 @@ class MulticapState(bpy.types.PropertyGroup):
     bones: bpy.props.CollectionProperty(type=MulticapBone)
     bone: bpy.props.IntProperty()
     live_port: bpy.props.IntProperty(
-        name="Port", description="Port of this machine to which the person is sent: --vmc of multicap live",
+        name="Port", description="Port of this machine to which the person is sent: --output vmc://HOST:PORT",
         default=39539, min=1, max=65535,
     )  # fmt: skip
     is_receiving: bpy.props.BoolProperty()

@@ -154,11 +154,11 @@ class VmcPerson:
 
     def rest(self) -> PersonMotion:
         """Skeleton of the person, without motion; bones of the body that the sender lacks have no length."""
-        parents = {
-            joint: parent
-            for joint, parent in _PARENTS.items()
-            if joint in self._places_m or joint[:-1] not in _FINGER_NAMES  # fingers that lack stay as they are
-        }
+        parents: dict[str, str | None] = {}
+        for joint, parent in _PARENTS.items():
+            # Fingers stay as they are from the first joint on that lacks.
+            if joint[:-1] not in _FINGER_NAMES or (joint in self._places_m and parent in parents):
+                parents[joint] = parent
         offsets_m = {joint: self._places_m.get(joint, (0.0, 0.0, 0.0)) for joint in parents}
         legs = [[offsets_m[f"{side}{joint}"] for joint in ("UpLeg", "Leg", "Foot")] for side in SIDES]
         drop_m = -sum(offset[2] for leg in legs for offset in leg) / len(legs)

@@ -20,12 +20,12 @@ from pipeline.run.live.records import LivePerson, LiveSkeleton
 NUM_BONES = len(WHOLE_SKELETON)
 
 
-def sent(seed: int, scale: float = 1.0) -> LiveSkeleton:
-    """Skeleton of somebody in a pose at random."""
+def sent(seed: int, scale: float = 1.0, num_bones: int = NUM_BONES) -> LiveSkeleton:
+    """Skeleton of a person in a random pose."""
     rng = np.random.default_rng(seed)
     turns = Rotation.from_rotvec(rng.normal(0.0, 0.6, (NUM_BONES, 3))).as_quat()
     lengths_m = scale * np.array([1.7 * joint.stature_share for joint in WHOLE_SKELETON])
-    return LiveSkeleton(rng.normal(size=3), turns, lengths_m, np.zeros((NUM_BONES, 3)))
+    return LiveSkeleton(rng.normal(size=3), turns[:num_bones], lengths_m[:num_bones], np.zeros((num_bones, 3)))
 
 
 def packet(skeleton: LiveSkeleton | None) -> bytes:
@@ -84,23 +84,23 @@ def test_rest_pose_stands_on_floor() -> None:
 
 
 def test_sender_without_fingers_moves_none() -> None:
-    whole = sent(1)
-    body, num_body = VmcPerson(), len(SKELETON)
-    body.take(
-        packet(
-            LiveSkeleton(
-                whole.root_m,
-                whole.parent_from_joint[:num_body],
-                whole.bone_length_m[:num_body],
-                np.zeros((num_body, 3)),
-            )
-        )
-    )
+    body = VmcPerson()
+    body.take(packet(sent(1, num_bones=len(SKELETON))))
     assert not [joint for joint in body.rest().parents if "Index" in joint]
     person = VmcPerson()
-    person.take(packet(whole))
+    person.take(packet(sent(1)))
     assert person.rest().parents["RightHandPinky1"] == "RightHand"
     assert not is_same_person(body.rest(), person.rest())
+
+
+def test_finger_without_base_moves_nothing() -> None:
+    """Each joint of the rest pose has its parent there, whichever bones a sender has."""
+    person = VmcPerson()
+    person.take(packet(sent(1, num_bones=len(SKELETON))))
+    person.take(bone_packet("LeftIndexIntermediate", 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 1.0))
+    rest = person.rest()
+    assert "LeftHandIndex2" not in rest.parents
+    assert {parent for parent in rest.parents.values() if parent is not None} <= rest.parents.keys()
 
 
 def test_another_person_has_other_bones() -> None:

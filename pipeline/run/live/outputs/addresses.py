@@ -15,7 +15,7 @@ from pipeline.core.options.rules import collecting, require
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE
 
 _LOOPBACK = "127.0.0.1"
-_MAX_PEOPLE = 32
+_MAX_PEOPLE, _NUM_PORTS = 32, 65_536
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +25,7 @@ class OutputProtocol:
     label: str  # Name for people
     factory: str  # Class of the output, a ``LiveOutput``, as ``package.module:name``
     port: int | None = None  # Usual port; ``None``: the address has the name of a stream in the place of host and port
+    num_ports: int | None = 1  # Ports from the stated one on; ``None``: one for each person
     is_server: bool = False  # True: it listens at its address, and receivers connect
     options: Mapping[str, Sequence[str]] = field(default_factory=dict)  # Values that parameters of the address may have
     package: str | None = None  # Package that is not always installed; the scheme is the extra that installs it
@@ -35,12 +36,16 @@ _PEOPLE = tuple(map(str, range(1, _MAX_PEOPLE + 1)))
 OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
     {
         "vmc": OutputProtocol(
-            "VMC", "pipeline.run.live.outputs.vmc:VmcOutput", 39539, options={"people": _PEOPLE, "person": _PEOPLE}
+            "VMC",
+            "pipeline.run.live.outputs.vmc:VmcOutput",
+            39539,
+            None,
+            options={"people": _PEOPLE, "person": _PEOPLE},
         ),
         "osc": OutputProtocol(
             "OSC", "pipeline.run.live.outputs.osc:OscOutput", 9000, options={"people": _PEOPLE, "up": ("y", "z")}
         ),
-        "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, is_server=True),
+        "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, 5, is_server=True),
         "mvn": OutputProtocol("Xsens MVN", "pipeline.run.live.outputs.mvn:MvnOutput", 9763),
         "rokoko": OutputProtocol("Rokoko", "pipeline.run.live.outputs.rokoko:RokokoOutput", 14043),
         "lsl": OutputProtocol(
@@ -69,10 +74,18 @@ class OutputAddress:
     @property
     def text(self) -> str:
         """Address as people write it."""
-        place = f"[{self.host}]:{self.port}" if ":" in self.host else f"{self.host}:{self.port}"
         options = "&".join(f"{name}={value}" for name, value in self.options.items())
-        text = f"{self.scheme}://{self.host if self.protocol.port is None else place}"
-        return f"{text}?{options}" if options else text
+        return f"{self._at(self.port)}?{options}" if options else self._at(self.port)
+
+    @property
+    def places(self) -> list[str]:
+        """Addresses of all ports, or of the stream, without parameters."""
+        num_ports = self.protocol.num_ports or int(self.options.get("people", 1))
+        return [self._at(port) for port in range(self.port, self.port + num_ports)]
+
+    def _at(self, port: int) -> str:
+        place = f"[{self.host}]:{port}" if ":" in self.host else f"{self.host}:{port}"
+        return f"{self.scheme}://{self.host if self.protocol.port is None else place}"
 
 
 def read_outputs(texts: Sequence[str], allow_network: bool) -> list[OutputAddress]:
@@ -83,7 +96,7 @@ def read_outputs(texts: Sequence[str], allow_network: bool) -> list[OutputAddres
     """
     with collecting() as collect:
         addresses = [collect(partial(_read, text.strip(), allow_network)) for text in texts]
-        counts = Counter(address.text for address in addresses if address is not None)
+        counts = Counter(place for address in addresses if address is not None for place in address.places)
         collect(lambda: require(_problem(f"{text} is stated twice.") for text, count in counts.items() if count > 1))
     return [address for address in addresses if address is not None]
 
@@ -95,19 +108,15 @@ def _read(text: str, allow_network: bool) -> OutputAddress:
         usual = ", ".join(map(example, OUTPUTS))
         raise InputError([_problem(f"{text!r:.80} is no address of an output.", f"Write {usual}.")])
     protocol = OUTPUTS[scheme]
+    place, _, query = rest.partition("?")
     try:
-        url = urlsplit(f"//{rest}")
-        host, port = url.hostname or "", url.port
-        options = dict(parse_qsl(url.query, keep_blank_values=True, strict_parsing=bool(url.query)))
+        options = _read_options(query)
+        host, port = (place, 0) if protocol.port is None else _host_and_port(place, protocol)
     except ValueError:
         host, port, options = "", -1, {}
-    if protocol.port is None:
-        host, port = rest.partition("?")[0], 0
-    elif port is None:
-        port = protocol.port
-    is_wrong = port < (0 if protocol.is_server or protocol.port is None else 1) or not (host or protocol.is_server)
-    if is_wrong:
-        raise InputError([_problem(f"{text!r:.80} has no right host and port.", f"Write {example(scheme)}.")])
+    if port < 0 or not (host or protocol.is_server):
+        message = f"{text!r:.80} is no address of {protocol.label}."
+        raise InputError([_problem(message, f"Write {example(scheme)}.")])
     require(_wrong_options(protocol, options))
     if protocol.package is not None and find_spec(protocol.package) is None:
         hint = f"Run pip install 'multicap[{scheme}]'."
@@ -120,7 +129,30 @@ def _read(text: str, allow_network: bool) -> OutputAddress:
         message = f"{text!r:.80} {reach}, and {protocol.label} has neither keys nor encryption."
         hint = "Allow the network." if protocol.port is None else f"Use {_LOOPBACK}, or allow the network."
         raise InputError([_problem(message, hint)])
-    return OutputAddress(scheme, resolved, port, options, is_network)
+    address = OutputAddress(scheme, resolved, port, options, is_network)
+    if port + len(address.places) > _NUM_PORTS:
+        raise InputError(
+            [_problem(f"{text!r:.80} needs {len(address.places)} ports, and {_NUM_PORTS - 1} is the last.")]
+        )
+    return address
+
+
+def _read_options(query: str) -> dict[str, str]:
+    """Parameters of an address; raises ``ValueError`` if one has no value or is stated twice."""
+    pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+    options = dict(pairs)
+    if len(options) < len(pairs):
+        raise ValueError("a parameter is stated twice")
+    return options
+
+
+def _host_and_port(place: str, protocol: OutputProtocol) -> tuple[str, int]:
+    """Host and port; raises ``ValueError`` if there is more, such as a path."""
+    url = urlsplit(f"//{place}")
+    port = (protocol.port or 0) if url.port is None else url.port
+    if url.path.strip("/") or url.fragment or url.username is not None or not (port or protocol.is_server):
+        raise ValueError("no host and port")
+    return url.hostname or "", port
 
 
 def _wrong_options(protocol: OutputProtocol, options: Mapping[str, str]) -> Iterator[Problem]:

@@ -15,7 +15,6 @@ class OutputStart:
     address: OutputAddress  # Its host is an IP address that may be used
     rate_hz: float  # Rate of the instants
     joints: tuple[str, ...]  # Names of the joints of ``LivePerson.xyz_m``
-    allow_network: bool = False  # Whether other machines may be reached, or may connect
 
 
 class LiveOutput(Protocol):

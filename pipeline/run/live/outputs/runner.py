@@ -136,7 +136,7 @@ class LiveOutputs:
     """
 
     def __init__(self, addresses: Sequence[str], *, allow_network: bool = False) -> None:
-        self._addresses, self._allow_network = read_outputs(addresses, allow_network), allow_network
+        self._addresses = read_outputs(addresses, allow_network)
         self._opened = ExitStack()
         self._show: list[Callable[[LiveInstant], None]] = []
         self.statuses: list[OutputStatus] = []
@@ -156,7 +156,7 @@ class LiveOutputs:
         problems: list[Problem] = []
         outputs: list[_StatedOutput] = []
         for address in self._addresses:
-            start = OutputStart(address, rate_hz, tuple(joints), self._allow_network)
+            start = OutputStart(address, rate_hz, tuple(joints))
             try:
                 output = self._opened.enter_context(resolve_name(address.protocol.factory)(start))
             except OSError as error:
