@@ -210,3 +210,52 @@ def test_keys_close_private_cameras_unless_allowed(
             assert httpx2.get(address, trust_env=False).status_code == 401
             bearer = {"Authorization": f"Bearer {secret}"}
             assert httpx2.get(address, headers=bearer, trust_env=False).json()["allows_private"] is (is_allowed is True)
+
+
+def test_test_pattern_reaches_outputs(
+    make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
+) -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+        running(make_settings(**live_commands)) as live,
+    ):
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(60)
+        address = f"vmc://127.0.0.1:{receiver.getsockname()[1]}"
+        with opened(live) as connection:
+            client = LiveSocket(connection)
+            client.send({"type": "start_test_pattern", "outputs": [address]})
+            ready = client.receive()
+            assert (ready["type"], ready["cameras"], ready["frame_rate_hz"]) == ("ready", [], 60.0)
+            assert b"/VMC/Ext/Bone/Pos" in receiver.recv(65_536)
+            while (message := client.receive())["type"] != "status":
+                assert message["people"][0]["skeleton"] is not None
+            (output,) = message["outputs"]
+            assert (output["address"], output["state"]) == (address, "sending")
+            client.send({"type": "end"})
+            while client.receive()["type"] != "ended":
+                pass
+        with opened(live) as connection:
+            client = LiveSocket(connection)
+            client.send({"type": "start_test_pattern", "outputs": ["vmc://127.0.0.1:65535?people=2", "gopher://a"]})
+            problem = client.problem()
+            assert problem["code"] == "live_fields"
+            assert [error["message"] for error in problem["errors"]] == [
+                "'vmc://127.0.0.1:65535?people=2' needs 2 ports, and 65535 is the last.",
+                "'gopher://a' is no address of an output.",
+            ]
+
+
+def test_keys_close_outputs_of_test_pattern(
+    make_settings: Callable[..., Settings], live_commands: dict[str, tuple[str, ...]]
+) -> None:
+    with running(make_settings(**live_commands)) as live:
+        _, secret = live.services.store.keys.add("studio-a", "writer", frozenset({Scope.READ, Scope.WRITE}))
+        with opened(live, additional_headers={"Authorization": f"Bearer {secret}"}) as connection:
+            client = LiveSocket(connection)
+            client.send({"type": "start_test_pattern", "outputs": ["osc://127.0.0.1:9000"]})
+            (error,) = client.problem()["errors"]
+            assert (error["pointer"], error["message"]) == (
+                "/outputs",
+                "The service sends people to no other program.",
+            )
