@@ -81,10 +81,12 @@ def limb_states(
     whole = moments.label_weight.sum(-1)[:, None]
     residual = np.where(moments.is_candidate, first.residual * moments.num_frames[:, None], np.inf)
     disagreement = _PER_RESIDUAL * residual
+    first_m, last_m = (np.concatenate([at.xyz_m, at.xyz_m[:, :, ::-1]], axis=1) for at in (first, last))
     return LimbStates(
         moments.first / frame_rate_hz,
         moments.last / frame_rate_hz,
-        *(np.concatenate([at.xyz_m, at.xyz_m[:, :, ::-1]], axis=1) for at in (first, last)),
+        first_m,
+        last_m,
         np.concatenate([disagreement + _PER_LABEL * against, disagreement + _PER_LABEL * (whole - against)], axis=1),
         np.concatenate([moments.exchanged, ~moments.exchanged], axis=1) & (moments.label_weight > 0)[:, None],
         rays,
