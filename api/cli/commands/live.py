@@ -92,7 +92,7 @@ def command(
             cameras: tuple[Camera, ...] = ()
             sources = None
             if test_pattern:
-                collect(lambda: require(_with_pattern(calibration=calibration, camera=camera, keep=keep)))
+                collect(lambda: require(_with_pattern(calibration=calibration, camera=camera, sync=sync, keep=keep)))
             else:
                 cameras = collect(lambda: _read_cameras(calibration, units, up)) or ()
                 names = [known.name for known in cameras]

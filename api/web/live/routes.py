@@ -197,7 +197,7 @@ async def _ready(
 def list_live_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOut:
     """List the cameras of the service's machine and the protocols of outputs that live captures may use."""
     is_allowed = allows_private(services.settings, caller)
-    found = find_devices() if is_allowed else {}
+    devices = find_devices() if is_allowed else {}
     protocols = (
         LiveProtocolOut(
             scheme=scheme,
@@ -211,7 +211,7 @@ def list_live_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOu
     )
     return LiveDevicesOut(
         allows_private=is_allowed,
-        devices=tuple(LiveDeviceOut(device=device, name=name) for device, name in found.items()),
+        devices=tuple(LiveDeviceOut(device=device, name=name) for device, name in devices.items()),
         protocols=tuple(protocols),
     )
 

@@ -154,7 +154,7 @@ class _Sent(DescribedModel):
 
 
 class LiveCameraOut(_Sent):
-    """Camera of a capture in metres, Z up, for those who draw it."""
+    """Camera of a capture in metres, Z up, for drawings."""
 
     name: str = Field(description="Name of the camera.", examples=["cam_1"])
     size_px: tuple[int, int] = Field(description="Width and height of the picture.", examples=[[1920, 1080]])

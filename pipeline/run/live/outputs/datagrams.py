@@ -109,7 +109,7 @@ class OscTemplate:
             self._heads.append((head, num_bytes))
 
     def packet(self, numbers: ArrayLike, messages: Iterable[int] | None = None) -> bytes:
-        """Packet with the numbers of its messages, in their order; ``messages``: places of those to send."""
+        """Packet with the numbers of its messages, in their order; ``messages``: places of the messages to send."""
         content, place, parts = np.asarray(numbers, ">f4").tobytes(), 0, [_BUNDLE]
         for head, num_bytes in self._heads if messages is None else map(self._heads.__getitem__, messages):
             parts += head, content[place : place + num_bytes]

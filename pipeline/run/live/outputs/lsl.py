@@ -38,8 +38,8 @@ _AXES = np.array([segment.rest_from_segment for segment in body_segments.SEGMENT
 def pose_angles_deg(skeletons: Sequence[LiveSkeleton]) -> Float[np.ndarray, "people angles"]:
     """Joint angles of ``ANGLE_NAMES`` of each skeleton in degrees, in the principal ranges of their sequences."""
     turns = world_rotations(skeletons)[:, _TURNING]
-    of_body = Rotation.from_quat(turns.reshape(-1, 4)).as_matrix().reshape(*turns.shape[:2], 3, 3) @ _AXES
-    segments = np.concatenate([np.broadcast_to(body_segments.WORLD, (len(turns), 1, 3, 3)), of_body], axis=1)
+    body = Rotation.from_quat(turns.reshape(-1, 4)).as_matrix().reshape(*turns.shape[:2], 3, 3) @ _AXES
+    segments = np.concatenate([np.broadcast_to(body_segments.WORLD, (len(turns), 1, 3, 3)), body], axis=1)
     angle_deg = np.empty((len(turns), len(body_segments.ANGLE_NAMES)))
     for sequence, rows in _SEQUENCES.items():
         proximal, distal, sides = zip(*((*ends, side) for _, side, ends in rows), strict=True)
@@ -92,9 +92,9 @@ def _outlet(name: str, kind: str, rate_hz: float, channels: Sequence[tuple[str, 
     info = pylsl.StreamInfo(name, kind, len(channels), rate_hz, form, f"multicap-{name}")
     info.desc().append_child("acquisition").append_child_value("manufacturer", "Multicap")
     listed = info.desc().append_child("channels")
-    for label, marker, type_of, unit in channels:
+    for label, marker, channel_type, unit in channels:
         channel = listed.append_child("channel").append_child_value("label", label)
-        for field, value in (("marker", marker), ("type", type_of), ("unit", unit)):
+        for field, value in (("marker", marker), ("type", channel_type), ("unit", unit)):
             if value:
                 channel.append_child_value(field, value)
     return pylsl.StreamOutlet(info, max_buffered=_BUFFER_S)

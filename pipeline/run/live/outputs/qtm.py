@@ -193,8 +193,8 @@ class _Receiver(asyncio.Protocol):
         return 1
 
     def _frame(self, components: Sequence[str], frame: FrameEncoder) -> bytes:
-        everybody = tuple(self._server.parameters.skeletons)
-        return frame.frame(components, {"3d": everybody, "skeleton": everybody, **self._listed})
+        all_people = tuple(self._server.parameters.skeletons)
+        return frame.frame(components, {"3d": all_people, "skeleton": all_people, **self._listed})
 
 
 _COMMANDS: Mapping[str, Callable[[_Receiver, Sequence[str]], None]] = MappingProxyType(

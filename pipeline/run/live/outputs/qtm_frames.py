@@ -60,7 +60,7 @@ class FrameRequest:
 
 
 def read_components(words: Sequence[str]) -> tuple[str, ...] | None:
-    """Components that exist here of those of a request; ``None`` if it has a word that is none, or nothing exists."""
+    """Components of a request that exist here; ``None`` if none exists, or a word is no component."""
     names = [word if word == "skeleton:global" else word.partition(":")[0] for word in words]
     if set(names) - _COMPONENTS.keys() - _ABSENT_COMPONENTS:
         return None

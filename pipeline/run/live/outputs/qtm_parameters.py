@@ -18,7 +18,7 @@ from pipeline.run.live.records import LiveInstant, LiveSkeleton
 _MAX_LISTED = 32
 # From this minor version on the element of a segment has its child segments.
 _FIRST_HIERARCHICAL = 21
-# Names of segments that are not those of our joints; other ends of bones are no segments.
+# Names of segments that differ from the names of our joints; other ends of bones are no segments.
 _SEGMENT_NAMES = {"Chest": "Spine1", "LeftFootEnd": "LeftToeBase", "RightFootEnd": "RightToeBase"}
 
 
@@ -82,10 +82,10 @@ def _skeletons(is_global: bool, skeletons: Mapping[int, LiveSkeleton]) -> Elemen
             rest_m[1:] = rest_offsets_m(skeleton.bone_length_m)[1:]
         rest_mm = 1e3 * in_segments(rest_m, FACING_Y)
         elements = {0: SubElement(body, "Segments")}
-        for number_of, place in enumerate(places, 1):
+        for segment_number, place in enumerate(places, 1):
             name = joints[place].name
             above = elements[int(parents[place])] if place else elements[0]
-            segment = SubElement(above, "Segment", Name=_SEGMENT_NAMES.get(name, name), ID=str(number_of))
+            segment = SubElement(above, "Segment", Name=_SEGMENT_NAMES.get(name, name), ID=str(segment_number))
             _add(segment, Solver="Global Optimization")
             for kind in ("Transform", "DefaultTransform"):
                 transform = SubElement(segment, kind)
@@ -144,7 +144,7 @@ class Parameters:
         return is_changed
 
     def read(self, names: Iterable[str], version: int) -> tuple[str, set[str]]:
-        """XML of the parameters that are named, for a minor version, and the names of those that list people.
+        """XML of the parameters that are named, for a minor version, and the names of the parameters that list people.
 
         Raises ``ParameterError``.
         """

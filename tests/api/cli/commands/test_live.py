@@ -45,8 +45,9 @@ def test_everything_that_is_wrong_is_said_at_once(tmp_path: Path) -> None:
 
 def test_pattern_needs_no_calibration_and_takes_none(tmp_path: Path) -> None:
     rig = calibration(tmp_path / "rig.json", ["a", "b"])
-    result = runner.invoke(app, ["live", "--test-pattern", f"--calibration={rig}", "--output=vmc://far:0", "--json"])
-    assert [problem["field"] for problem in json.loads(result.stdout)["problems"]] == ["calibration", "output"]
+    stated = [f"--calibration={rig}", "--sync=5", "--output=vmc://far:0"]
+    result = runner.invoke(app, ["live", "--test-pattern", *stated, "--json"])
+    assert [problem["field"] for problem in json.loads(result.stdout)["problems"]] == ["calibration", "sync", "output"]
     result = runner.invoke(app, ["live", "--json"])
     assert [problem["code"] for problem in json.loads(result.stdout)["problems"]] == ["calibration_missing"]
 

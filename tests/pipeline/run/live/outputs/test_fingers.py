@@ -50,10 +50,10 @@ def test_joints_are_at_located_fingers() -> None:
     motions = [posed(1), posed(2)]
     people = tuple(person(number, motion) for number, motion in enumerate(motions, 1))
     got = FingerPoses(JOINTS).with_fingers(LiveInstant(0.0, people, 0.0))
-    for found, motion in zip(got.people, motions, strict=True):
-        assert found.skeleton is not None
-        np.testing.assert_allclose(found.skeleton.joint_m, forward_kinematics(motion)[0], atol=1e-9)
-        given = found.skeleton
+    for shown, motion in zip(got.people, motions, strict=True):
+        assert shown.skeleton is not None
+        np.testing.assert_allclose(shown.skeleton.joint_m, forward_kinematics(motion)[0], atol=1e-9)
+        given = shown.skeleton
         again = replace(motion, root_m=given.root_m[None], parent_from_joint=given.parent_from_joint[None])
         np.testing.assert_allclose(forward_kinematics(again)[0], given.joint_m, atol=1e-9)
 
