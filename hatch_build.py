@@ -86,9 +86,9 @@ def nest(source: bytes) -> bytes:
     """Change a module's imports of the packages, and strings that refer to their objects, to ``multicap.*``.
 
     >>> nest(b"from pipeline.core.data import Camera")
-    b'from multicap.pipeline.data import Camera'
+    b'from multicap.pipeline.core.data import Camera'
     >>> nest(b"pool = 'worker.run.app:PromptPool'")
-    b"pool = 'multicap.worker.process.pool:PromptPool'"
+    b"pool = 'multicap.worker.run.app:PromptPool'"
 
     Raises ``ValueError`` if the module imports one of the packages by ``import``, which would bind the package's plain
     name.
