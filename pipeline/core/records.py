@@ -38,7 +38,8 @@ def to_json(value: Any, prepare: Callable[[Any, str], Any] = lambda value, path:
 def from_json(kind: Callable[..., Kind], document: Any, missing: Missing | None = None, path: str = "") -> Kind:
     """Value of a type from its JSON value; ``missing`` gives the value at a path whose JSON value is null.
 
-    Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is no record of the type.
+    A tuple is taken for a list. Raises ``KeyError``, ``TypeError`` or ``ValueError`` if the JSON value is no record of
+    the type.
     """
     return cast(Kind, _reader(kind)(document, missing, path))
 
@@ -63,7 +64,7 @@ def _reader(kind: Any) -> Callable[[Any, Missing | None, str], Any]:
     def read(document: Any, missing: Missing | None, path: str) -> Any:
         if document is None:
             return None if missing is None else missing(path)
-        is_list, is_dict = isinstance(document, list), isinstance(document, dict)
+        is_list, is_dict = isinstance(document, list | tuple), isinstance(document, dict)
         if is_record > is_dict or is_tuple > is_list:
             raise TypeError(f"{path} is no {kind}")
         if is_dict:

@@ -117,6 +117,7 @@ def test_no_frame_of_found_person_is_in_two_places(made: list[PeopleEdit]) -> No
 @given(st.lists(edits, max_size=8))
 def test_edits_pass_through_json(made: list[PeopleEdit]) -> None:
     assert [read_edit(json.loads(json.dumps(edit_document(edit)))) for edit in made] == made
+    assert [read_edit(edit_document(edit)) for edit in made] == made
 
 
 @given(st.integers(0, NUM_FRAMES - 1))
