@@ -345,7 +345,7 @@ def test_garbage_ends_its_own_connection_only(garbage: bytes) -> None:
 
 
 def test_receiver_that_never_reads_misses_frames() -> None:
-    """What waits for it is bounded, sending never waits, and another receiver gets every frame."""
+    """Its waiting bytes are bounded, sending never waits, and another receiver gets every frame."""
     with (
         serving() as (output, base_port),
         socket.socket() as hanging,
