@@ -160,12 +160,16 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 class Table(NamedTuple):
     """Table with a line of headers."""
 
-    columns: frozenset[str]  # Names of the columns, in lower case
+    columns: tuple[str, ...]  # Names of the columns, in lower case
     rows: Iterator[tuple[int, Mapping[str, str]]]  # Number of the line, and cells by column; "" where they are missing
 
-    def missing(self, needed: Sequence[str]) -> list[str]:
-        """Names of needed columns that the table lacks."""
-        return [name for name in needed if name not in self.columns]
+    def fault(self, needed: Sequence[str]) -> str | None:
+        """Sentence on needed columns that the table lacks or has twice; ``None`` if it has each of them once."""
+        if missing := [name for name in needed if name not in self.columns]:
+            return f"The table lacks {', '.join(missing)}: its first line must name the columns {', '.join(needed)}."
+        if repeated := [name for name in needed if self.columns.count(name) > 1]:
+            return f"The table has more than one column {', '.join(repeated)}."
+        return None
 
 
 @contextmanager
@@ -184,7 +188,7 @@ def open_table(path: Path) -> Iterator[Table]:
         separator = next((separator for separator in _SEPARATORS if separator in header), ",")
         cells = next(csv.reader([header], delimiter=separator, skipinitialspace=True), [])
         names = [cell.strip().lower() for cell in cells]
-        yield Table(frozenset(names), _rows(text, names, separator))
+        yield Table(tuple(names), _rows(text, names, separator))
 
 
 def _rows(text: TextIO, names: Sequence[str], separator: str) -> Iterator[tuple[int, Mapping[str, str]]]:

@@ -39,9 +39,9 @@ def read_known_points(path: Path) -> tuple[KnownPoint, ...]:
         if path.stat().st_size > _MAX_BYTES:
             raise InputError([Problem(KNOWN_POINTS_INVALID, "The table is too large.", file=path.name)])
         with open_table(path) as table:
-            if missing := table.missing(POINT_COLUMNS):
-                invalid(f"The table lacks the columns {', '.join(missing)}.")
-            for line, row in () if missing else table.rows:
+            if fault := table.fault(POINT_COLUMNS):
+                invalid(fault)
+            for line, row in () if fault else table.rows:
                 _add(points, row, line, invalid)
     except (OSError, ValueError, csv.Error):
         invalid("The table can't be read.")

@@ -13,7 +13,7 @@ from pipeline.capture.names import nfc
 from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.errors import Problem
 from pipeline.core.findings import Finding
-from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S, Table, open_table
+from pipeline.core.parsing import FRAME_RATE_HZ, FRAME_RATE_TOLERANCE, TIME_S, open_table
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import FRAMES_DROPPED
 from pipeline.video.frame_rate import DEFAULT_RATE, measured_rate_hz, without_rounding
@@ -172,8 +172,8 @@ def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]
     name_of = {nfc(camera): camera for camera in times_s}
     try:
         with open_table(path) as table:
-            _require_columns(table)
-            for line, row in table.rows:
+            fault = table.fault(_COLUMNS)
+            for line, row in () if fault else table.rows:
                 _add_row(row, line, times_s, name_of)
     except _LateError as error:
         problems.append(Problem(session_codes.TIMESTAMPS_START, str(error), file=path.name, hint=_START_HINT))
@@ -184,14 +184,10 @@ def _read_timestamps(path: Path, cameras: Iterable[str], problems: list[Problem]
     except (OSError, ValueError, csv.Error):
         problems.append(Problem(session_codes.TIMESTAMPS_INVALID, "The file can't be read as CSV.", file=path.name))
     else:
-        return times_s
+        if fault is None:
+            return times_s
+        problems.append(Problem(session_codes.TIMESTAMPS_INVALID, fault, file=path.name))
     return None
-
-
-def _require_columns(table: Table) -> None:
-    if missing := table.missing(_COLUMNS):
-        message = f"The file lacks {', '.join(missing)}: its first line must name the columns camera, frame and time_s."
-        raise _InvalidError(message)
 
 
 def _add_row(

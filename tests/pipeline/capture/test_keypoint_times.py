@@ -15,7 +15,7 @@ from tests.pipeline.capture.keypoint_scenes import messages, opened, problems_of
     ("change", "code", "words"),
     [
         (lambda rows: rows[:1], "timestamps_missing", "have no time"),
-        (lambda rows: ["camera,frame,when", *rows[1:]], "timestamps_invalid", "columns camera, frame and time_s"),
+        (lambda rows: ["camera,frame,when", *rows[1:]], "timestamps_invalid", "columns camera, frame, time_s"),
         (lambda rows: [*rows, rows[1]], "timestamps_invalid", "a second time"),
         (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",soon"], "timestamps_invalid", "Line 3"),
         (lambda rows: [*rows[:2], rows[2].rpartition(",")[0] + ",nan"], "timestamps_invalid", "line 3"),

@@ -50,13 +50,24 @@ def test_comma_in_table_with_commas_is_no_decimal_comma(path: Path) -> None:
     assert rows(path, b'name,note\na,"1,5"\n') == [(2, {"name": "a", "note": "1,5"})]
 
 
-def test_short_rows_are_filled_and_missing_columns_named(path: Path) -> None:
+def test_short_rows_are_filled(path: Path) -> None:
     assert rows(path, b"name;x_m\np1\n") == [(2, {"name": "p1", "x_m": ""})]
-    with open_table(path) as table:
-        assert table.missing(("name", "x_m", "y_m")) == ["y_m"]
     assert rows(path, b"") == []
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        (b"name;x_m\n", "lacks y_m: its first line must name the columns name, x_m, y_m."),
+        (b"", "lacks name, x_m, y_m: "),
+        (b"name;x_m;X_M;y_m;note;note\n", "more than one column x_m."),
+    ],
+)
+def test_columns_that_lack_or_occur_twice_are_named(path: Path, content: bytes, fault: str) -> None:
+    path.write_bytes(content)
     with open_table(path) as table:
-        assert table.missing(("name",)) == ["name"]
+        assert fault in str(table.fault(("name", "x_m", "y_m")))
+        assert table.fault(()) is None
 
 
 @pytest.mark.parametrize("content", [b"name\n\xff\xff\n", b"\xff\xfen", b'name\n"' + b"x" * 200_000])

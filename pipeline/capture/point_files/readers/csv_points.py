@@ -3,6 +3,7 @@
 DeepLabCut's 3D files have rows of headers instead: scorer, individuals (of several people), body parts and coordinates.
 """
 
+import csv
 import re
 from io import StringIO
 from itertools import chain
@@ -25,19 +26,25 @@ def read_csv(path: Path) -> PointTable:
     separator = next((mark for mark in (";", "\t") if mark in head), ",")
 
     def cells(line: str) -> list[str]:
-        return [cell.strip().strip('"') for cell in line.split(separator)]
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
     columns = cells(head)
-    if columns[0] == "scorer":
+    if columns[:1] == ["scorer"]:
         *heads, rest = rest.split("\n", 2 + rest.startswith("individuals"))
         columns = [f"{':'.join(names)}_{axis}" for *names, axis in zip(*map(cells, heads), strict=True)]
+    if separator != ",":
+        # Spreadsheets of languages with a decimal comma write numbers so.
+        rest = rest.replace(",", ".")
     values = np.genfromtxt(StringIO(rest), delimiter=separator, ndmin=2)
     places: dict[str, dict[str, int]] = {}
     units = set()
     for number, column in enumerate(columns):
         if (found := _COLUMN.fullmatch(column)) and found["name"]:
-            places.setdefault(found["name"], {})[found["axis"].lower()] = number
+            if places.setdefault(found["name"], {}).setdefault(found["axis"].lower(), number) != number:
+                raise KeypointsError(f"The file has more than one column {column}.")
             units.add(found["unit"] and found["unit"].lower())
+    if len(units - {None}) > 1:
+        raise KeypointsError(f"The columns have the units {', '.join(sorted(units - {None}))}: write all of them in m.")
     whole = {name: [axes[axis] for axis in "xyz"] for name, axes in places.items() if len(axes) == 3}
     if not whole:
         raise KeypointsError("The file has no columns such as left_knee_x, left_knee_y and left_knee_z.")

@@ -349,6 +349,14 @@ def test_csv_of_deeplabcut_in_3d_has_its_individuals(take: Path, tmp_path: Path)
     assert len(session.people) == 2
 
 
+def test_csv_with_decimal_commas_has_the_same_places(take: Path, tmp_path: Path) -> None:
+    text = (take / "person-1.csv").read_text()
+    (tmp_path / "person-1.csv").write_text(text.replace(",", ";").replace(".", ","))
+    expected = located_m(Session.from_files([take / "person-1.csv"]))
+    for joint, places_m in located_m(Session.from_files([tmp_path / "person-1.csv"])).items():
+        np.testing.assert_array_equal(places_m, expected[joint])
+
+
 def test_csv_of_anipose_keeps_errors_and_axes_apart(take: Path, tmp_path: Path) -> None:
     columns = "x", "y", "z", "error", "ncams", "score"
     head = ["fnum", *[f"{person}:{name}_{part}" for person in "ab" for name in positions_m(take) for part in columns]]
@@ -412,6 +420,8 @@ def test_netcdf_of_movement_has_its_people(take: Path, tmp_path: Path) -> None:
         ("a.txt", "", r"Files of 3D points end with \.bvh, \.c3d"),
         ("a.trc", "hello", "no header of TRC"),
         ("a.csv", "a,b\n1,2\n", "no columns such as left_knee_x"),
+        ("a.csv", "a_x,a_y,a_z,a_X\n1,2,3,4\n", "more than one column a_X"),
+        ("a.csv", "a_x_m,a_y_m,a_z_mm\n1,2,3\n", "units m, mm"),
         (
             "a.csv",
             "scorer,s,s,s\nbodyparts,nose,nose,nose\ncoords,x,y,likelihood\n0,1,2,1\n",
