@@ -29,7 +29,14 @@ from api.web.sessions.manifest import CameraManifest
 from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
 from pipeline.core.problems.request_codes import LIVE_FIELDS, MISSING_FIELD
-from pipeline.run.live.cameras.sources import SCHEMES, CameraSource, find_devices, name_problems, unsupported
+from pipeline.run.live.cameras.sources import (
+    REPEATED_SOURCE,
+    SCHEMES,
+    CameraSource,
+    find_devices,
+    name_problems,
+    unsupported,
+)
 from pipeline.run.live.packets import CaptureAnswer
 from worker.run.webhooks.addresses import url_fault
 from worker.run.webhooks.sender import RefusedAddressError, resolve
@@ -79,9 +86,9 @@ def read_cameras(
             pointer = pointer_to("cameras", place, "source")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         else:
-            if source.kind == "phone" and source.address in {one.address for one in sources}:
-                message, pointer = "The phone is another camera already.", pointer_to("cameras", place, "source")
-                errors.append(ErrorItem(code=CAMERA_SOURCE, message=message, pointer=pointer, camera=name))
+            if source.address in {earlier.address for earlier in sources}:
+                pointer = pointer_to("cameras", place, "source")
+                errors.append(ErrorItem(code=CAMERA_SOURCE, message=REPEATED_SOURCE, pointer=pointer, camera=name))
             sources.append(source)
     if isinstance(start, LiveCamerasStart) and start.outputs and not is_private:
         errors.append(_NO_OUTPUTS)

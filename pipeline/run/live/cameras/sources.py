@@ -18,6 +18,7 @@ SourceKind = Literal["rtsp", "http", "device", "file", "phone"]
 
 SCHEMES: dict[str, SourceKind] = {"rtsp": "rtsp", "rtsps": "rtsp", "http": "http", "https": "http"}
 """Kind of a source by the scheme of its address."""
+REPEATED_SOURCE = "The source is another camera's already."
 _HINT = "Write it as cam_1=rtsp://192.168.0.10/stream, cam_2=http://..., cam_3=/dev/video0 or cam_4=clip.mp4."
 
 
@@ -55,6 +56,8 @@ def read_sources(texts: Sequence[str], cameras: Sequence[str]) -> list[CameraSou
             continue
         found = [*name_problems(name, cameras, [source.camera for source in sources]), *_address_problems(address)]
         problems += (Problem(code, message, camera=name, hint=hint) for code, message, hint in found)
+        if address in {source.address for source in sources}:
+            problems.append(Problem(CAMERA_SOURCE, REPEATED_SOURCE, camera=name, hint="Give each camera its own."))
         sources.append(CameraSource(name, _kind(address) or "file", address))
     if len(texts) < 2:
         message, hint = "A live capture needs at least two cameras.", "Give --camera for each of them."

@@ -198,7 +198,10 @@ def test_phones_that_are_not_there_are_told_all_at_once(service: Live) -> None:
             client = LiveSocket(connection)
             client.send(start_message(*[f"phone://{recording.id}/1"] * 2))
             (error,) = client.problem()["errors"]
-            assert (error["pointer"], error["message"]) == ("/cameras/1/source", "The phone is another camera already.")
+            assert (error["pointer"], error["message"]) == (
+                "/cameras/1/source",
+                "The source is another camera's already.",
+            )
         host.send("remove", phone=1)
         host.state(lambda state: state["recording"]["phones"][0]["is_removed"])
     with opened(service) as connection:

@@ -40,6 +40,12 @@ def test_everything_that_is_wrong_is_said_at_once() -> None:
     assert all(problem.hint for problem in error.value.problems)
 
 
+def test_source_of_another_camera_is_refused() -> None:
+    with pytest.raises(InputError, match="another camera's already") as error:
+        read_sources(["a=rtsp://camera", "b=rtsp://camera"], ["a", "b"])
+    assert [(problem.code, problem.camera) for problem in error.value.problems] == [(CAMERA_SOURCE, "b")]
+
+
 def test_one_camera_is_not_enough() -> None:
     with pytest.raises(InputError, match="at least two"):
         read_sources(["a=rtsp://camera"], ["a", "b"])
