@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from pipeline.calibration.reading import Reading as CalibrationReading
     from pipeline.calibration.registry import read_calibration
     from pipeline.calibration.validate import RawCamera
-    from pipeline.capture.camera_files import Recording
     from pipeline.capture.keypoint_files.keypoint_reader import reader as keypoint_reader
     from pipeline.capture.keypoint_files.people import KeypointsError
     from pipeline.capture.keypoint_files.points import KeypointReading
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from pipeline.capture.own_points_file import with_own_points
     from pipeline.capture.points import PointSession
     from pipeline.capture.points import SessionMaker as Session
+    from pipeline.capture.preflight_record import Recording
     from pipeline.capture.session import CaptureSession, open_session
     from pipeline.core.data.cameras import Camera
     from pipeline.core.data.detections import Detections
@@ -144,7 +144,7 @@ _REFERENCES = {
     "RawCamera": "pipeline.calibration.validate:RawCamera",
     "Reconstruction": "pipeline.core.data.reconstruction:Reconstruction",
     "ReconstructionConfig": "pipeline.core.options.config:ReconstructionConfig",
-    "Recording": "pipeline.capture.camera_files:Recording",
+    "Recording": "pipeline.capture.preflight_record:Recording",
     "Rigid3": "pipeline.core.data.rigid:Rigid3",
     "ServiceError": "api.cli.client:ServiceError",
     "Session": "pipeline.capture.points:SessionMaker",

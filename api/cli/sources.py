@@ -29,9 +29,9 @@ from pipeline.core.problems.session_codes import CAMERA_WITH_TWO_FOLDERS
 from pipeline.video.images.files import SEQUENCE
 
 if not shows_help():
-    from pipeline.capture.camera_files import Recording
     from pipeline.capture.keypoints import KeypointSession, open_keypoints
     from pipeline.capture.own_points_file import with_own_points
+    from pipeline.capture.preflight_record import Recording
     from pipeline.capture.session import CaptureSession, Session, open_session
 
 

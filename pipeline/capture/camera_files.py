@@ -8,48 +8,11 @@ from pathlib import Path, PurePosixPath
 from pipeline.capture.names import cameras_in_names, natural_key, nfc
 from pipeline.capture.pairing import Thing
 from pipeline.capture.parts import group_parts, missing_parts
+from pipeline.capture.preflight_record import Recording
 from pipeline.capture.video_files import VideoFiles
 from pipeline.core.data.cameras import Camera
 from pipeline.core.errors import Problem
 from pipeline.core.problems import session_codes
-
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """Facts about a camera's video that neither the video nor the calibration contains; or its folder of keypoints.
-
-    Parameters
-    ----------
-    camera
-        Name of the camera, or of its section in the calibration.
-    file
-        Name or path of the video file; ``None``: the video with the camera's name. Of keypoints the name of the folder.
-    offset_s
-        Time of the first frame, on the clock that all cameras share.
-    frame_rate_hz
-        Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
-    more_files
-        Names or paths of further files in which the recording of ``file`` goes on, in order.
-    offset_std_s
-        Standard deviation of the offset; ``None``: nothing is known of it.
-
-    Examples
-    --------
-    >>> Recording("left", "GX010119.MP4", more_files=("GX020119.MP4",)).files
-    ('GX010119.MP4', 'GX020119.MP4')
-    """
-
-    camera: str
-    file: str | None = None
-    offset_s: float = 0.0
-    frame_rate_hz: float | None = None
-    more_files: tuple[str, ...] = ()
-    offset_std_s: float | None = None
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """Names or paths of all files."""
-        return () if self.file is None else (self.file, *self.more_files)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents, read_intrinsics
-from pipeline.capture.camera_files import Recording, find_input, known_recordings
+from pipeline.capture.camera_files import find_input, known_recordings
 from pipeline.capture.keypoint_files.folders import Source, camera_folders, read_folder, stated_folders
 from pipeline.capture.keypoint_files.layout_choice import rearranged, tell_layout
 from pipeline.capture.keypoint_files.own_points import OwnFrames, split_own
@@ -24,7 +24,7 @@ from pipeline.capture.keypoint_files.readers import openpose
 from pipeline.capture.keypoint_files.scales import rescaled
 from pipeline.capture.keypoint_files.timestamps import timebase_of, times_from_file, times_from_rate
 from pipeline.capture.pairing import pair
-from pipeline.capture.preflight_record import LayoutRead
+from pipeline.capture.preflight_record import LayoutRead, Recording
 from pipeline.core.data.arrays import short_text
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections

@@ -22,7 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -30,8 +30,7 @@ from pipeline.calibration.board.spec import parse_board
 from pipeline.calibration.checks.camera_checks import UP_AXIS_CODES, check_cameras, check_places
 from pipeline.calibration.registry import read_contents
 from pipeline.calibration.write import encode
-from pipeline.capture import preflight_record
-from pipeline.capture.camera_files import Recording, find_input
+from pipeline.capture.camera_files import find_input
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession, open_keypoints
 from pipeline.capture.keypoints_zip import unpack_keypoints
 from pipeline.capture.laboratory.laboratory_files import with_laboratory
@@ -39,6 +38,15 @@ from pipeline.capture.own_points_file import with_own_points
 from pipeline.capture.pictures.sample_pictures import Thumbnail, look_at_pictures
 from pipeline.capture.points import open_points, parse_names
 from pipeline.capture.preflight_npz import save_record
+from pipeline.capture.preflight_record import (
+    Clock,
+    Preflight,
+    PreflightCamera,
+    PreflightThumbnail,
+    PreflightTimebase,
+    Recording,
+    thumbnail_name,
+)
 from pipeline.capture.session import Session, open_session
 from pipeline.core.errors import InputError, Problem, printable
 from pipeline.core.findings import Finding, documents
@@ -60,16 +68,16 @@ def report(
     files: Sequence[Sequence[str]],
     units: str | None,
     recordings: Sequence[Recording] = (),
-    clock: preflight_record.Clock = "declared",
+    clock: Clock = "declared",
     up: Up = "z",
-) -> preflight_record.Preflight:
+) -> Preflight:
     """Build the preflight record of a session; ``files`` are the names of each camera's files."""
     timebase = session.timebase
     media, detected = _media(session, recordings), session.detections if isinstance(session, KeypointSession) else {}
     starts_s = {name: float(times.time_s[0]) if len(times.time_s) else 0.0 for name, times in session.times.items()}
-    return preflight_record.Preflight(
+    return Preflight(
         cameras=tuple(
-            preflight_record.PreflightCamera(
+            PreflightCamera(
                 name=camera.name,
                 file=of_camera[0],
                 size_px=camera.size_px,
@@ -84,9 +92,9 @@ def report(
             )
             for camera, of_camera in zip(session.cameras, files, strict=True)
         ),
-        timebase=preflight_record.PreflightTimebase(timebase.start_time_s, timebase.frame_rate_hz, timebase.num_frames),
+        timebase=PreflightTimebase(timebase.start_time_s, timebase.frame_rate_hz, timebase.num_frames),
         stretches=tuple(session.stretches),
-        recordings=tuple(preflight_record.PreflightRecording(**asdict(recording)) for recording in recordings),
+        recordings=tuple(recordings),
         units=units or "m",
         up=up,
         findings=tuple(session.findings),
@@ -116,7 +124,7 @@ def _camera_rate_hz(session: Session, camera: str) -> float:
     return session_hz if len(time_s) < 2 or math.isclose(camera_hz, session_hz, rel_tol=1e-6) else camera_hz
 
 
-def _check_videos(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, Session]:
+def _check_videos(arguments: argparse.Namespace) -> tuple[Preflight, Session]:
     if arguments.photographs and (others := [path for path in arguments.videos if not is_sequence(path)]):
         raise InputError([_no_archive(path) for path in others])
     recordings = _recordings(arguments)
@@ -162,26 +170,20 @@ def _recordings(arguments: argparse.Namespace) -> list[Recording]:
     ]
 
 
-def _write_thumbnails(
-    folder: Path, camera: int, thumbnails: Sequence[Thumbnail]
-) -> tuple[preflight_record.PreflightThumbnail, ...]:
+def _write_thumbnails(folder: Path, camera: int, thumbnails: Sequence[Thumbnail]) -> tuple[PreflightThumbnail, ...]:
     for number, thumbnail in enumerate(thumbnails):
-        (folder / preflight_record.thumbnail_name(camera, number)).write_bytes(thumbnail.content)
+        (folder / thumbnail_name(camera, number)).write_bytes(thumbnail.content)
     return tuple(
-        preflight_record.PreflightThumbnail(
-            thumbnail.time_s, len(thumbnail.content), hashlib.sha256(thumbnail.content).hexdigest()
-        )
+        PreflightThumbnail(thumbnail.time_s, len(thumbnail.content), hashlib.sha256(thumbnail.content).hexdigest())
         for thumbnail in thumbnails
     )
 
 
-def _with_thumbnails(
-    camera: preflight_record.PreflightCamera, thumbnails: tuple[preflight_record.PreflightThumbnail, ...]
-) -> preflight_record.PreflightCamera:
+def _with_thumbnails(camera: PreflightCamera, thumbnails: tuple[PreflightThumbnail, ...]) -> PreflightCamera:
     return replace(camera, thumbnails=thumbnails)
 
 
-def _with_findings(preflight: preflight_record.Preflight, findings: Sequence[Finding]) -> preflight_record.Preflight:
+def _with_findings(preflight: Preflight, findings: Sequence[Finding]) -> Preflight:
     return replace(preflight, findings=(*preflight.findings, *findings))
 
 
@@ -193,7 +195,7 @@ def _no_archive(path: Path) -> Problem:
     return Problem(IMAGES_ARCHIVE, message, file=path.name, hint=hint)
 
 
-def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, Session]:
+def _check_keypoints(arguments: argparse.Namespace) -> tuple[Preflight, Session]:
     recordings = _recordings(arguments)
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         session = open_keypoints(
@@ -220,7 +222,7 @@ def _check_keypoints(arguments: argparse.Namespace) -> tuple[preflight_record.Pr
     return preflight, session
 
 
-def _check_points(arguments: argparse.Namespace) -> tuple[preflight_record.Preflight, Session]:
+def _check_points(arguments: argparse.Namespace) -> tuple[Preflight, Session]:
     names = parse_names(arguments.names.encode())
     with tempfile.TemporaryDirectory(prefix="multicap-") as folder:
         zips = [path for path in arguments.points if path.suffix.lower() == ".zip"]
@@ -285,9 +287,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--laboratory", type=Path, help="C3D file of a laboratory beside the cameras.")
     parser.add_argument("--laboratory-facts", default="{}", help="JSON object: clock, channel and place of its axes.")
     parser.add_argument("--recordings", default="[]", help="JSON list of facts about videos or archives.")
-    parser.add_argument(
-        "--clock", choices=get_args(preflight_record.Clock), default="declared", help="Clock of the videos' starts."
-    )
+    parser.add_argument("--clock", choices=get_args(Clock), default="declared", help="Clock of the videos' starts.")
     parser.add_argument("--units", choices=UNITS_M, help="Unit of lengths in the calibration.")
     parser.add_argument(
         "--up", choices=get_args(Up), help="Axis that points up: z, or told by the people of 3D points."

@@ -58,8 +58,29 @@ class PreflightTimebase:
 
 
 @dataclass(frozen=True, slots=True)
-class PreflightRecording:
-    """Facts about a camera's video that the client stated; fields as in ``pipeline.capture.session.Recording``."""
+class Recording:
+    """Facts about a camera's video that neither the video nor the calibration contains; or its folder of keypoints.
+
+    Parameters
+    ----------
+    camera
+        Name of the camera, or of its section in the calibration.
+    file
+        Name or path of the video file; ``None``: the video with the camera's name. Of keypoints the name of the folder.
+    offset_s
+        Time of the first frame, on the clock that all cameras share.
+    frame_rate_hz
+        Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
+    more_files
+        Names or paths of further files in which the recording of ``file`` goes on, in order.
+    offset_std_s
+        Standard deviation of the offset; ``None``: nothing is known of it.
+
+    Examples
+    --------
+    >>> Recording("left", "GX010119.MP4", more_files=("GX020119.MP4",)).files
+    ('GX010119.MP4', 'GX020119.MP4')
+    """
 
     camera: str
     file: str | None = None
@@ -67,6 +88,11 @@ class PreflightRecording:
     frame_rate_hz: float | None = None
     more_files: tuple[str, ...] = ()
     offset_std_s: float | None = None
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names or paths of all files."""
+        return () if self.file is None else (self.file, *self.more_files)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +125,7 @@ class Preflight:
     cameras: tuple[PreflightCamera, ...]
     timebase: PreflightTimebase
     stretches: tuple[range, ...]  # Output frames that have to be worked on, ascending; pauses lie between them
-    recordings: tuple[PreflightRecording, ...] = ()  # Facts about videos that the client stated
+    recordings: tuple[Recording, ...] = ()  # Facts about videos that the client stated
     units: str = "m"  # Unit of lengths in the calibration: "m", "cm" or "mm"
     findings: tuple[Finding, ...] = ()  # Findings about the files, for the client
     clock: Clock = "declared"  # Clock of the videos' starts

@@ -11,11 +11,11 @@ from pipeline.calibration.camera_names import name_problem
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents, read_intrinsics
 from pipeline.calibration.sizes import fit_to_video, guessed_camera
-from pipeline.capture.camera_files import Recording, SortedFiles, known_recordings, left_out_parts, sort_files
+from pipeline.capture.camera_files import SortedFiles, known_recordings, left_out_parts, sort_files
 from pipeline.capture.clock import TimeSource, clock_problems, slow_motion
 from pipeline.capture.keypoints import KeypointSession
 from pipeline.capture.pairing import MIN_CAMERAS, pair
-from pipeline.capture.preflight_record import Clock, LayoutRead
+from pipeline.capture.preflight_record import Clock, LayoutRead, Recording
 from pipeline.capture.starts import clock_findings, start_hint, starts_s
 from pipeline.capture.video_files import find_videos
 from pipeline.core.data.arrays import short_text

@@ -10,7 +10,7 @@ import httpx2
 import pytest
 
 from api.cli.client import Client
-from pipeline.capture.camera_files import Recording
+from pipeline.capture.preflight_record import Recording
 from pipeline.capture.session import open_session
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.runtime.packages.samples import Sample

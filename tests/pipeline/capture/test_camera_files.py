@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.capture.camera_files import Recording
 from pipeline.capture.preflight import report
 from pipeline.capture.preflight_npz import decode_session
-from pipeline.capture.preflight_record import Preflight
+from pipeline.capture.preflight_record import Preflight, Recording
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.errors import InputError
 from pipeline.video.decode import decode

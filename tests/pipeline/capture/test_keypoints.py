@@ -8,9 +8,9 @@ from shutil import copy
 import numpy as np
 import pytest
 
-from pipeline.capture.camera_files import Recording
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoints import open_keypoints
+from pipeline.capture.preflight_record import Recording
 from pipeline.core.errors import InputError
 from pipeline.core.joints import BODY_25, COCO_17, COCO_18
 from pipeline.validation.simulation.scenes import Simulation

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.capture.preflight_record import LayoutRead, Preflight, PreflightRecording, PreflightThumbnail
+from pipeline.capture.preflight_record import LayoutRead, Preflight, PreflightThumbnail, Recording
 
 PRINTED = (
     '{"cameras": [{"name": "cam_0", "file": "GX01.mp4", "size_px": [1280, 720], "frame_rate_hz": 25.0, '
@@ -29,7 +29,7 @@ def test_json_is_same_after_reading() -> None:
             replace(camera, thumbnails=(PreflightThumbnail(0.5, 100, "0" * 64),), more_files=("b.mp4",), num_bodies=3)
             for camera in read.cameras
         ),
-        recordings=(PreflightRecording("cam_0", "a.mp4", 0.5, None, ("b.mp4",), 0.01),),
+        recordings=(Recording("cam_0", "a.mp4", 0.5, None, ("b.mp4",), 0.01),),
         layout=LayoutRead("coco", "number"),
         names={"LHip": "left_hip"},
         laboratory={"clock": "trigger", "channel": None},

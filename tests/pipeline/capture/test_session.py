@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.registry import read_calibration
-from pipeline.capture.camera_files import Recording
 from pipeline.capture.preflight import main, report
 from pipeline.capture.preflight_npz import decode_session
+from pipeline.capture.preflight_record import Recording
 from pipeline.capture.session import CaptureSession, open_session
 from pipeline.core.errors import InputError
 from pipeline.video.decode import decode

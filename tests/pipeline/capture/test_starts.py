@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture import preflight
-from pipeline.capture.camera_files import Recording
-from pipeline.capture.preflight_record import Clock, Preflight
+from pipeline.capture.preflight_record import Clock, Preflight, Recording
 from pipeline.capture.session import open_session
 from pipeline.capture.starts import starts_s
 from pipeline.core.errors import InputError

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightRecording, PreflightTimebase
+from pipeline.capture.preflight_record import Preflight, PreflightCamera, PreflightTimebase, Recording
 from pipeline.core.options.config import MAX_OUTPUT_FRAMES, NETWORKS, ReconstructionConfig, method_warnings
 from pipeline.core.options.job_choices import CalibrationChoices, ProxyChoices, VisualChoices
 from pipeline.detection.entries import REGISTRY
@@ -281,7 +281,7 @@ def test_detectors_with_fields_are_in_registry() -> None:
 def test_statements_about_videos_are_input() -> None:
     def said(offset_s: float, std_s: float | None = None) -> Session:
         plain = make_session()
-        recordings = (PreflightRecording("0", offset_s=offset_s, offset_std_s=std_s),)
+        recordings = (Recording("0", offset_s=offset_s, offset_std_s=std_s),)
         return replace(plain, preflight=replace(plain.preflight, recordings=recordings))
 
     plain = make_session()

@@ -12,7 +12,7 @@ import httpx2
 import pytest
 
 from api.web.settings import Settings
-from pipeline.capture.preflight_record import PreflightRecording
+from pipeline.capture.preflight_record import Recording
 from tests.api.conftest import Live, form, keypoint_form, problem_of, running
 from worker.store.files.artifacts import read_artifact
 from worker.store.files.file_keys import record_key
@@ -377,8 +377,8 @@ class TestManifest:
         cameras = [{"name": "a", "file": "cam_1.mp4", "offset_s": -0.5, "rate": 50.0}, {"name": "b \u00e4"}]
         session = self.send(live, {"cameras": cameras}).raise_for_status().json()
         assert live.services.store.sessions.get(session["id"]).preflight.recordings == (
-            PreflightRecording("a", "cam_1.mp4", -0.5, 50.0),
-            PreflightRecording("b \u00e4", None, 0.0, None),
+            Recording("a", "cam_1.mp4", -0.5, 50.0),
+            Recording("b \u00e4", None, 0.0, None),
         )
 
     @pytest.mark.parametrize(

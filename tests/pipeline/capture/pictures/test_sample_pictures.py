@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.capture.camera_files import Recording
 from pipeline.capture.pictures import sample_pictures
 from pipeline.capture.pictures.sample_pictures import NUM_PICTURES, frames_to_look_at, look_at_pictures
+from pipeline.capture.preflight_record import Recording
 from pipeline.capture.session import open_session
 from pipeline.core.errors import ChildError
 from pipeline.core.findings import Finding

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.capture.camera_files import Recording
+from pipeline.capture.preflight_record import Recording
 from pipeline.capture.session import open_session
 from pipeline.capture.synchronization.session_clocks import listen
 from pipeline.validation.simulation.scenes import find_scene, record, simulation_files
