@@ -71,7 +71,7 @@ def test_check_that_is_killed_leaves_no_unpacked_file(
         "    def hang(folder, *_, **__):\n"
         f"        pathlib.Path({str(tmp_path / 'unpacked')!r}).write_text(str(folder))\n"
         "        assert (folder / 'cam_0' / 'a.json').is_file()\n"
-        "        time.sleep(60)\n"
+        "        time.sleep(300)\n"
         "    pipeline.capture.keypoints.open_keypoints = hang\n"
     )
     (modules / "sitecustomize.py").write_text(hang, encoding="utf-8")
@@ -82,7 +82,7 @@ def test_check_that_is_killed_leaves_no_unpacked_file(
         archive.writestr("a.json", "{}")
     parts: list[tuple[str, Any]] = [("keypoints", ("cam_0.zip", content.getvalue())), form(0)[0]]
     command = Settings().preflight_command
-    with running(make_settings(preflight_command=command, preflight_timeout_s=10.0)) as live:
+    with running(make_settings(preflight_command=command, preflight_timeout_s=30.0)) as live:
         problem = problem_of(live.client.post("/v1/sessions", files=parts), 422, "invalid_request")
         assert [error["code"] for error in problem["errors"]] == ["preflight_timeout"]
         assert not Path((tmp_path / "unpacked").read_text()).exists()
