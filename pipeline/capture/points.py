@@ -16,6 +16,7 @@ from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession
 from pipeline.capture.point_files.point_names import OWN_NAMES, find_joints, hip_centers_m, joint_set, pelvis_points
 from pipeline.capture.point_files.point_reader import PointTable, flattened
 from pipeline.capture.point_files.read_points import read_table
+from pipeline.capture.point_files.static_trial import with_static_joints
 from pipeline.core.data.arrays import read_only, short_text
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Observations, Source, Track3D
@@ -133,6 +134,7 @@ def open_points(
     units: Units | None = None,
     up: Up | None = None,
     joint_of: Mapping[str, str] | None = None,
+    static: StrPath | None = None,
 ) -> PointSession:
     """Open files of 3D points: TRC, C3D, BVH, CSV, NetCDF, NPY, 3D JSON; files are of people at one time.
 
@@ -144,6 +146,8 @@ def open_points(
         Rate, for files that do not state it.
     units, up, joint_of
         See ``from_points``.
+    static
+        File of a person who stands, with more markers of the same set, which tell joints that the files lack.
 
     Raises
     ------
@@ -155,6 +159,8 @@ def open_points(
     for file in map(Path, files):
         try:
             table, form = read_table(file)
+            if static is not None:
+                table = with_static_joints(table, read_table(Path(static))[0], joint_of or {})
             tables.append((file.name, form, table))
         except InputError as error:
             problems += error.problems

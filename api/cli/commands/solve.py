@@ -18,7 +18,19 @@ if not shows_help():
 
 
 @with_choices(
-    "frame_range", "smoothing", "cutoff_hz", "feet", "exports", "preset", "output_rate_hz", "timeline", "body", "report"
+    "frame_range",
+    "smoothing",
+    "cutoff_hz",
+    "feet",
+    "exports",
+    "preset",
+    "output_rate_hz",
+    "timeline",
+    "body",
+    "report",
+    "segments",
+    "sex",
+    "mass_kg",
 )
 def command(
     *,
@@ -36,6 +48,9 @@ def command(
     names: Annotated[
         Path | None, typer.Option(help="JSON object: our joint, such as left_knee, by the name of your point.")
     ] = None,
+    static: Annotated[
+        Path | None, typer.Option(help="Static trial with more markers, which tell joints that FILES lack.")
+    ] = None,
     character: Annotated[Path | None, typer.Option(help="Character that moves as each person.")] = None,
     chosen: Mapping[str, Any],
     as_json: JsonOption = False,
@@ -45,7 +60,8 @@ def command(
     with reporting(as_json, lambda: f"{len(paths)} files were written."), StageBars(visible=not as_json) as bars:
         config = checked(chosen)
         axis = None if up is None else known_up(up)
-        session = open_points(files, frame_rate, known_units(units), axis, None if names is None else read_names(names))
+        table = None if names is None else read_names(names)
+        session = open_points(files, frame_rate, known_units(units), axis, table, static)
         if not as_json:
             show_session(session.findings, None)
         require(config_problems(config, session.timebase.num_frames, session.timebase.frame_rate_hz))

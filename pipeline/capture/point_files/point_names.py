@@ -40,7 +40,7 @@ _POINTS: Mapping[str, str] = {
     "Lank Lanklelat Lankleout Lfal Llmal Lmall Llak Lankle",
     "heel": "| Lhee Lheel Lhel Lcal Lcalc Lfcc Lheelback Lcalca",
     "big_toe": "LEFTfootend LEFTtoebase LEFTtoes ballL toeL toesL Ltoes4x4 | Ltoe Lphal1 Lmt1 Lfm1 Ltoetip",
-    "ear": "| Lfhd+Lbhd",
+    "ear": "| Lfhd+Lbhd Ltemple",
 }
 _OTHERS = {
     "neck": "neck",

@@ -21,7 +21,8 @@ def read_trc(path: Path) -> PointTable:
     if len(lines) <= _NUM_HEADS or not lines[0].startswith("PathFileType"):
         raise KeypointsError("The file has no header of TRC, which begins with PathFileType.")
     mark = next((mark for mark in "\t," if mark in lines[3]), None)
-    facts = dict(zip(lines[1].split(mark), lines[2].split(mark), strict=False))
+    # Public files have a different number of tabs in the two lines of facts.
+    facts = dict(zip(*(line.replace(",", " ").split() for line in lines[1:3]), strict=False))
     names = tuple(name.strip() for name in lines[3].split(mark)[2:] if name.strip())
     width = 2 + 3 * len(names)
     rows = (line.split(mark) for line in lines[_NUM_HEADS:] if line.strip())
@@ -31,7 +32,7 @@ def read_trc(path: Path) -> PointTable:
         names,
         values[:, 2:].reshape(len(values), -1, 3),
         float(facts["DataRate"]),
-        facts["Units"].strip().lower(),
+        facts["Units"].lower(),
         "y",
         float(values[0, 1]),
     )
