@@ -24,8 +24,10 @@ from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT
 # analysis using stereophotogrammetry, part 3", Gait & Posture 21, 2005); least number of markers, and their least
 # spread across the longest direction.
 _SKIN_M, _LEAST_MARKERS, _LEAST_SPREAD_M = 0.01, 3, 0.015
-# Joints that do not depend on the pose of a segment's markers: hips follow from the pelvis in each trial.
+# Least number of frames, all over a longer movement, in which distances of markers are compared.
+_COMPARED_FRAMES = 500
 _UNITS_M = {str(unit): unit_m for unit, unit_m in UNITS_M.items()}
+# Joints that follow from the pelvis in each trial.
 _OF_PELVIS = ("left_hip", "right_hip")
 
 
@@ -74,6 +76,7 @@ def _segments(
     moving_m: Float[np.ndarray, "frames points 3"], still_m: Float[np.ndarray, "points 3"]
 ) -> list[Int[np.ndarray, " markers"]]:
     """Markers of each segment: all of them keep the distances that they have in the static trial."""
+    moving_m = moving_m[:: max(1, len(moving_m) // _COMPARED_FRAMES)]
     usable = np.flatnonzero(np.isfinite(still_m).all(-1) & np.isfinite(moving_m).all(-1).any(0))
     if len(usable) < _LEAST_MARKERS:
         return []
