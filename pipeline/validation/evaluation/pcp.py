@@ -41,7 +41,7 @@ PARTS: Mapping[str, tuple[tuple[int, int], ...]] = {
 
 _TORSO = "torso"
 _HIPS = [2, 3]
-_ALPHA = 0.5
+_ALPHA, _PCK_M = 0.5, 0.15
 
 Head = tuple[Float[np.ndarray, "*batch 3"], Float[np.ndarray, "*batch 3"]]
 
@@ -100,6 +100,7 @@ class PcpScores:
     parts: Mapping[str, Float[np.ndarray, " actors"]]  # Percentage by kind of part
     # Mean distance of the joints that prediction and annotation share, NaN without any
     mpjpe_mm: Float[np.ndarray, " actors"]
+    pck150: Float[np.ndarray, " actors"]  # Percentage of the annotated joints within 150 mm
     # Index of the prediction compared with each actor in each frame, -1 for none
     chosen: Int[np.ndarray, "actors frames"]
 
@@ -129,6 +130,7 @@ def score_pcp(
     annotated = np.isfinite(truth_m).all((-2, -1))
     num_right = {name: np.zeros(num_actors) for name in (*PARTS, _TORSO)}
     errors_m: list[list[float]] = [[] for _ in range(num_actors)]
+    num_near = np.zeros(num_actors)
     chosen = np.full((num_actors, num_frames), -1)
     for actor, frame in np.argwhere(annotated):
         distance_m = np.linalg.norm(predicted_m[frame] - truth_m[actor, frame], axis=-1)
@@ -140,6 +142,7 @@ def score_pcp(
         nearest = int(mean_m.argmin())
         chosen[actor, frame] = nearest
         errors_m[actor].append(float(mean_m[nearest]))
+        num_near[actor] += (distance_m[nearest] <= _PCK_M).sum()
         for name, right in _is_right(predicted_m[frame][nearest], truth_m[actor, frame]).items():
             num_right[name][actor] += right.sum()
     counts = annotated.sum(1)
@@ -152,5 +155,6 @@ def score_pcp(
         actors=percent(np.sum(list(num_right.values()), axis=0), sum(sizes.values())),
         parts={name: percent(right, sizes[name]) for name, right in num_right.items()},
         mpjpe_mm=np.array([1000 * np.mean(errors) if errors else np.nan for errors in errors_m]),
+        pck150=percent(num_near, truth_m.shape[2]),
         chosen=chosen,
     )

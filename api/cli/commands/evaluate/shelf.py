@@ -106,7 +106,11 @@ def command(
     columns = ["part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS))]
     print_table(columns, ([name, *(f"{value:.2f}" for value in values)] for name, values in parts))
     rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
-    typer.echo(f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})")
+    by_actor = zip(result["mpjpe_mm"], result["pck150"], strict=True)
+    typer.echo(
+        f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})\nMPJPE and PCK150 by actor: "
+        + "; ".join(f"{mpjpe_mm:.1f} mm, {pck150:.2f} %" for mpjpe_mm, pck150 in by_actor)
+    )
     if result["association_accuracy"] is not None:
         typer.echo(f"Association accuracy {result['association_accuracy']:.4f}")
     typer.echo(

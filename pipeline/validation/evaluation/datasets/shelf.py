@@ -142,13 +142,13 @@ def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBe
 
 
 def score_shelf(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[str, Any]:
-    """Score tracks of COCO-17 joints: PCP in percent, MPJPE and identity switches.
+    """Score tracks of COCO-17 joints: PCP and PCK150 in percent, MPJPE and identity switches.
 
     The result has:
 
     - ``pcp``: ``average`` (mean of actors 1-3), ``actors`` and ``parts`` for the head rule ``crossview``, and the
       average ``by_head_rule``.
-    - ``mpjpe_mm``: mean joint error of each actor.
+    - ``mpjpe_mm``, ``pck150``: mean joint error of each actor, and share of the joints within 150 mm.
     - ``switches``: number of changes of an annotated actor's nearest track since the actor's previous annotation.
     """
     alive = [
@@ -177,5 +177,6 @@ def score_shelf(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[st
             "by_head_rule": averages,
         },
         "mpjpe_mm": reference.mpjpe_mm[:NUM_SCORED_ACTORS].tolist(),
+        "pck150": reference.pck150[:NUM_SCORED_ACTORS].tolist(),
         "switches": sum(int(np.count_nonzero(np.diff(history))) for history in histories),
     }

@@ -28,6 +28,16 @@ def test_part_is_right_up_to_half_its_length() -> None:
         assert scores.actors[0] == (100.0 if percent == 100.0 else 90.0)
 
 
+def test_pck_counts_annotated_joints_within_150_mm() -> None:
+    predicted = POSE.copy()
+    predicted[:7, 0] += 0.149
+    predicted[7:9, 0] += 0.151
+    predicted[9] = np.nan
+    truth = np.stack([POSE, POSE])[None]
+    scores = score_pcp([predicted[None], np.empty((0, 14, 3))], truth)
+    assert scores.pck150[0] == pytest.approx(100 * 11 / 28)
+
+
 def test_missing_joints_and_missing_people_are_wrong() -> None:
     predicted = POSE.copy()
     predicted[0] = np.nan
