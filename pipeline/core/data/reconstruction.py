@@ -14,6 +14,7 @@ from pipeline.core.data.own_points import OwnTracks
 from pipeline.core.data.people import Doubt, Observations, PersonLoss, Track3D
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.joints import JointOffsets, JointSet
+from pipeline.core.options.arguments import checked
 from pipeline.core.options.edits import Accept
 from pipeline.core.options.providers import ProviderName
 from pipeline.core.paths import StrPath
@@ -145,6 +146,7 @@ class Reconstruction:
         """
         return cast("xr.Dataset", resolve_name(_TO_XARRAY)(self))
 
+    @checked
     def to_dataframe(self, of: Content = "joints", form: Form = "long") -> "pd.DataFrame":
         """Return joints, angles or contacts of the feet as a table of pandas.
 
@@ -163,10 +165,12 @@ class Reconstruction:
         """
         return cast("pd.DataFrame", resolve_name(_TO_DATAFRAME)(self, of, form))
 
+    @checked
     def to_parquet(self, path: StrPath, of: Content = "joints", form: Form = "long") -> Path:
         """Write a table of ``to_dataframe`` as a Parquet file; return its path."""
         return cast(Path, resolve_name(_TO_PARQUET)(self, path, of, form))
 
+    @checked
     def plot(
         self,
         person: int | None = None,

@@ -63,6 +63,8 @@ def _fits(value: Any, hint: Any) -> bool:
     if hint in _NUMBERS:
         return isinstance(value, _NUMBERS[hint][0]) and not isinstance(value, bool)
     kind = origin or hint
+    if getattr(kind, "__name__", None) == "ndarray" and hasattr(value, "__array__"):  # NumPy's, pandas', xarray's
+        return True
     if hint is Any or not isinstance(kind, type):
         return hint is not None or value is None
     is_kind = isinstance(value, kind) and not (origin and isinstance(value, str))

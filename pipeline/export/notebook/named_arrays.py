@@ -13,7 +13,6 @@ import numpy as np
 from pipeline.core.data.people import Source
 from pipeline.core.data.reconstruction import Content, Form, Reconstruction
 from pipeline.core.errors import PipelineError
-from pipeline.core.options.rules import require, unlisted_value
 from pipeline.core.paths import StrPath
 from pipeline.motion.angles.compute import joint_angles, observable_angles
 from pipeline.motion.body_segments import ANGLE_NAMES
@@ -29,7 +28,6 @@ _CONTENTS: Mapping[str, tuple[str, str, tuple[str, ...]]] = {
     "angles": ("angles", "angle", ("angle_deg", "angle_sigma_deg")),
     "contacts": ("feet", "foot", ("contact", "pinned")),
 }
-_FORMS = ("long", "wide")
 
 
 def optional_module(name: str) -> Any:
@@ -115,7 +113,6 @@ def to_xarray(take: Reconstruction) -> "xr.Dataset":
 
 def to_dataframe(take: Reconstruction, of: Content, form: Form) -> "pd.DataFrame":
     """See ``Reconstruction.to_dataframe``."""
-    require((*unlisted_value("of", of, _CONTENTS), *unlisted_value("form", form, _FORMS)))
     optional_module("pandas")
     dataset = to_xarray(take)
     dimension, part, variables = _CONTENTS[of]

@@ -1,6 +1,6 @@
 """Plots of takes: skeletons, joint angles and cameras' views by Matplotlib, and a summary in HTML."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,11 +50,7 @@ def plot(
         ax.set(xlabel="time, s", ylabel=f"{angle}, degrees")
     else:
         number = _middle_frame(take, shown) if frame is None else frame
-        of_people = [
-            (k, take.tracks[k].xyz_m[number - take.tracks[k].start_frame])
-            for k in shown
-            if number in take.tracks[k].frames
-        ]
+        of_people = _poses(take, shown, number)
         if camera is None:
             _draw_people(ax, of_people, take.joints, names)
         else:
@@ -93,9 +89,9 @@ def _middle_frame(take: Reconstruction, shown: Sequence[int]) -> int:
     return frames[len(frames) // 2]
 
 
-def _poses(take: Reconstruction, frame: int) -> list[tuple[int, Float[np.ndarray, "joints 3"]]]:
+def _poses(take: Reconstruction, shown: Iterable[int], frame: int) -> list[tuple[int, Float[np.ndarray, "joints 3"]]]:
     """Places among the tracks, and joints in metres, of the people of a frame."""
-    tracks = enumerate(take.tracks)
+    tracks = [(k, take.tracks[k]) for k in shown]
     return [(k, track.xyz_m[frame - track.start_frame]) for k, track in tracks if frame in track.frames]
 
 
@@ -159,12 +155,9 @@ def _figures(track: Track3D) -> Iterator[str]:
 
 def _picture(take: Reconstruction) -> Markup:
     """Skeletons of the middle frame from the front, as SVG."""
-    frame = _middle_frame(take, range(len(take.tracks)))
-    shown = [
-        (k, _lines(track.xyz_m[frame - track.start_frame], take.joints))
-        for k, track in enumerate(take.tracks)
-        if frame in track.frames
-    ]
+    everyone = range(len(take.tracks))
+    frame = _middle_frame(take, everyone)
+    shown = [(k, _lines(xyz_m, take.joints)) for k, xyz_m in _poses(take, everyone, frame)]
     places = np.concatenate([np.empty((0, 2)), *(lines_m[:, ::2] for _, lines_m in shown)])
     if not np.isfinite(places).any():
         return Markup()
