@@ -75,7 +75,7 @@ def from_arrays(
     counts: dict[str, frozenset[int]] = {}
     times: dict[str, FrameTimes] = {}
     layout_name = joints if isinstance(joints, str) else None
-    named = None if joints is None or layout_name else tuple(map(str, joints))
+    named = None if joints is None or layout_name else tuple(map(str, np.asarray(joints).tolist()))
     for camera in checked:
         name = camera.name
         of_points = None if scores is None else of_scores.get(name, ())
@@ -164,7 +164,7 @@ def _by_camera(arrays: Any, names: Sequence[str], field: str, problems: list[Pro
 
 def _points(keypoints_px: Any, scores: Any, camera: str, problems: list[Problem]) -> np.ndarray | None:
     """People of each frame, their points, and x, y and score; without scores every finite point is certain."""
-    points, score = _floats(keypoints_px), None if scores is None else _floats(scores)
+    points, score = floats(keypoints_px), None if scores is None else floats(scores)
     if points is not None and points.ndim == 3:
         points, score = points[:, None], None if score is None else score[:, None]
     if points is None or points.ndim != 4 or points.shape[-1] != 2 or not 0 < len(points) <= MAX_OUTPUT_FRAMES:
@@ -183,7 +183,7 @@ def _dimensions(values: Any) -> tuple[str, ...]:
     return names if isinstance(names, tuple) else ()
 
 
-def _floats(values: Any) -> np.ndarray | None:
+def floats(values: Any) -> np.ndarray | None:
     """Numbers, NaN where they are masked; ``None`` if they are none, or instants."""
     if (named := _dimensions(values)) and {*named} <= {*_DIMENSIONS}:
         values = values.transpose(*(name for name in _DIMENSIONS if name in named))
@@ -195,7 +195,7 @@ def _floats(values: Any) -> np.ndarray | None:
 
 
 def _times(values: Any, num_frames: int, camera: str, problems: list[Problem]) -> FrameTimes:
-    time_s = _floats(values)
+    time_s = floats(values)
     if time_s is None or time_s.shape != (num_frames,) or not TIME_S.holds(time_s) or (np.diff(time_s) <= 0).any():
         problems.append(_wrong("times_s", f"must be {num_frames} ascending times, {TIME_S}", camera))
         return FrameTimes(np.zeros(num_frames))

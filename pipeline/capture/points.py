@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
 
 from pipeline.calibration.vertical import AXES
-from pipeline.capture.keypoint_arrays import from_arrays
+from pipeline.capture.keypoint_arrays import floats, from_arrays
 from pipeline.capture.keypoint_files.people import MAX_PEOPLE
 from pipeline.capture.keypoint_files.points import REQUIRED
 from pipeline.capture.keypoints import MAX_JOINTS, KeypointSession
@@ -94,7 +94,7 @@ class PointSession(KeypointSession):
 @checked
 def from_points(
     points: np.ndarray,
-    names: Sequence[str],
+    names: Sequence[str] | np.ndarray,
     frame_rate_hz: float,
     units: Units | None = None,
     up: Up | None = None,
@@ -105,7 +105,8 @@ def from_points(
     Parameters
     ----------
     points
-        Places (frames, points, 3), or (frames, people, points, 3); NaN where a point is unknown.
+        Places (frames, points, 3), or (frames, people, points, 3); NaN where a point is unknown. Arrays of xarray are
+        read by the names of their dimensions: (time, individuals, keypoints, space) in any order.
     names
         Names of the points: joints, markers of Plug-in Gait, segments of Theia, bones of characters.
     units, up
@@ -118,13 +119,16 @@ def from_points(
     InputError
         With all problems of all arguments.
     """
-    people = points[:, None] if points.ndim == 3 else points
-    if people.ndim != 4 or people.shape[2:] != (len(names), 3) or not people.size or people.dtype.kind not in "fi":
+    people, names = floats(points), tuple(map(str, np.asarray(names).tolist()))
+    people = people[:, None] if people is not None and people.ndim == 3 else people
+    if people is None or people.ndim != 4 or people.shape[2:] != (len(names), 3) or not people.size:
         message = f"points must be numbers of the shape (frames, people, {len(names)}, 3)."
         raise InputError([Problem(INVALID_VALUE, message, field="points")])
     numbers = [str(k + 1) for k in range(people.shape[1])]
-    table = PointTable(**flattened(numbers, tuple(names), people.astype(np.float64)), rate_hz=frame_rate_hz)
-    return session_of_tables([("points", "an array", table)], frame_rate_hz, units, up, joint_of or {}, [])
+    table = PointTable(**flattened(numbers, names, people), rate_hz=frame_rate_hz)
+    return session_of_tables(
+        [("points", "an array", table)], frame_rate_hz, units, up, _known_names(joint_of or {}), []
+    )
 
 
 @checked
@@ -154,7 +158,7 @@ def open_points(
     InputError
         With all problems of all files.
     """
-    problems: list[Problem] = []
+    problems = [] if files else [Problem(INVALID_VALUE, "There are no files of 3D points.", field="files")]
     tables = []
     for file in map(Path, files):
         try:
@@ -164,7 +168,7 @@ def open_points(
             tables.append((file.name, form, table))
         except InputError as error:
             problems += error.problems
-    return session_of_tables(tables, frame_rate_hz, units, up, joint_of or {}, problems)
+    return session_of_tables(tables, frame_rate_hz, units, up, _known_names(joint_of or {}), problems)
 
 
 class SessionMaker:
@@ -207,10 +211,14 @@ def parse_names(content: bytes) -> dict[str, str]:
         table = read_unique_json(content)
     except UnreadableError:
         table = None
-    if not isinstance(table, dict) or any(str(joint) not in OWN_NAMES for joint in table.values()):
+    return _known_names(table)
+
+
+def _known_names(table: Any) -> dict[str, str]:
+    if not isinstance(table, Mapping) or any(str(joint) not in OWN_NAMES for joint in table.values()):
         message = "The table of names must be a JSON object of our joints, such as left_knee, by names of points."
         raise InputError([Problem(session_codes.KEYPOINTS_LAYOUT, message, field="names")])
-    return table
+    return dict(table)
 
 
 def session_of_tables(

@@ -18,19 +18,8 @@ if not shows_help():
 
 
 @with_choices(
-    "frame_range",
-    "smoothing",
-    "cutoff_hz",
-    "feet",
-    "exports",
-    "preset",
-    "output_rate_hz",
-    "timeline",
-    "body",
-    "report",
-    "segments",
-    "sex",
-    "mass_kg",
+    *("frame_range", "smoothing", "cutoff_hz", "feet", "exports", "preset", "output_rate_hz", "timeline", "body"),
+    *("report", "segments", "sex", "mass_kg"),
 )
 def command(
     *,

@@ -63,12 +63,16 @@ def _fits(value: Any, hint: Any) -> bool:
     if hint in _NUMBERS:
         return isinstance(value, _NUMBERS[hint][0]) and not isinstance(value, bool)
     kind = origin or hint
-    if getattr(kind, "__name__", None) == "ndarray" and hasattr(value, "__array__"):  # NumPy's, pandas', xarray's
+    if _is_array(kind) and hasattr(value, "__array__"):  # NumPy's, pandas', xarray's
         return True
     if hint is Any or not isinstance(kind, type):
         return hint is not None or value is None
     is_kind = isinstance(value, kind) and not (origin and isinstance(value, str))
     return is_kind and (not args or not _is_list(kind) or all(_fits(item, args[0]) for item in iter(cast(Any, value))))
+
+
+def _is_array(kind: Any) -> bool:
+    return getattr(kind, "__name__", None) == "ndarray"
 
 
 def _is_list(kind: type) -> bool:
@@ -84,8 +88,8 @@ def _words(hint: Any) -> str:
     if hint in _NUMBERS:
         return _NUMBERS[hint][1]
     kind = origin or hint
-    if kind in _NOUNS:
-        return _NOUNS[kind]
+    if kind in _NOUNS or _is_array(kind):
+        return _NOUNS.get(kind, "an array")
     if isinstance(kind, type) and _is_list(kind):
         return f"a list, each item {_words(args[0])}" if args and args[0] is not Any else "a list"
     return f"a {getattr(kind, '__name__', kind)}"

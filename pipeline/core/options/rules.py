@@ -41,7 +41,7 @@ def require(problems: Iterable[Problem]) -> None:
 def unlisted_value(name: str, value: Any, values: Iterable[str]) -> Iterator[Problem]:
     """Find out whether an argument is none of the values that it may have."""
     if value not in (allowed := tuple(values)):
-        message = f"{name} must be one of {', '.join(allowed)}, not {value!r:.80}."
+        message = f"{name} must be one of {', '.join(allowed) or 'none'}, not {value!r:.80}."
         yield Problem(request_codes.VALUE_NOT_ALLOWED, message, field=name)
 
 

@@ -178,7 +178,7 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[Code, str]]:
 
 
 def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[tuple[Code, str]]:
-    if seen:
+    if seen or take.own.objects:
         return
     if take.is_emptied:
         yield (

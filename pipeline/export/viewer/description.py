@@ -217,7 +217,7 @@ class ViewerMotion:
         for track, motion, step_m in zip(self._take.tracks, self._take.motions, self._steps_m, strict=True):
             red, green, blue = color_rgb(track.track_id)
             of_person = figures[track.track_id]
-            masses = segment_masses(self._take.subject_of(track.track_id), self._take.joints)
+            masses = segment_masses(self._take.subject_of(track.track_id), self._take.joints, track.xyz_m)
             yield {
                 "id": track.track_id,
                 "name": motion.name,

@@ -7,8 +7,10 @@ Dumas et al. 2007, "Adjustments to McConville et al. and Young et al. body segme
 table 2): torso and pelvis are given there from the joints of neck and lumbar spine, here as shares of the line from the
 middle of the shoulders to the middle of the hips, whose length is de Leva's. Products of inertia are left out.
 
-The head's centre is the middle of the ears, from which both tables' centres are within a centimetre. A hand continues
-its forearm. Feet without heel and toe are points at the ankles.
+The head's centre is the middle of the ears, from which both tables' centres are within a centimetre. Of people whose
+ears are never known it is on the line of the trunk, as far above the shoulders as in standing people (Drillis and
+Contini 1966: ears at 0.936 of stature, shoulders at 0.818, hips at 0.530). A hand continues its forearm. Feet without
+heel and toe are points at the ankles.
 """
 
 from collections.abc import Mapping
@@ -55,6 +57,7 @@ _LENGTHS = {
 }
 # Shares of the numbers of women and of men.
 _OF_SEX = {"female": (1.0, 0.0), "male": (0.0, 1.0), "unstated": (0.5, 0.5)}
+_HEAD_OVER_TRUNK = (0.936 - 0.818) / (0.818 - 0.530)
 _ORIENTATION = {"trunk": "thorax"}
 _SHOULDERS, _HIPS, _EARS = ({f"{side}_{joint}": 0.5 for side in SIDES} for joint in ("shoulder", "hip", "ear"))
 _ENDS = {
@@ -84,8 +87,12 @@ class SegmentMasses:
         return np.asarray(self.mass @ (self.start + self.centre[:, None] * self.axis))
 
 
-def segment_masses(subject: Subject, joints: JointSet) -> SegmentMasses | None:
-    """Segments of a person; ``None`` where the joints of the detector lack one of the body's.
+def segment_masses(
+    subject: Subject, joints: JointSet, xyz_m: Float[np.ndarray, "frames joints 3"] | None = None
+) -> SegmentMasses | None:
+    """Segments of a person; ``None`` where a shoulder, hip or joint of a limb is never known.
+
+    ``xyz_m``: positions of the person's joints, NaN where unknown; ``None``: all joints are known.
 
     >>> from pipeline.core.joints import BODY_FEET
     >>> masses = segment_masses(Subject("de-leva", "male"), BODY_FEET)
@@ -93,7 +100,9 @@ def segment_masses(subject: Subject, joints: JointSet) -> SegmentMasses | None:
     1.0
     """
     names, shares = set(joints.names), np.array(_OF_SEX[subject.sex])
-    if not {f"{side}_{joint}" for side in SIDES for ends in _ENDS.values() for joint in ends} | _EARS.keys() <= names:
+    if xyz_m is not None:
+        names = {joints.names[k] for k in np.flatnonzero(np.isfinite(xyz_m).all(-1).any(0))}
+    if not {f"{side}_{joint}" for side in SIDES for ends in _ENDS.values() for joint in ends} <= names:
         return None
 
     def vector(weights: Mapping[str, float]) -> np.ndarray:
@@ -101,13 +110,14 @@ def segment_masses(subject: Subject, joints: JointSet) -> SegmentMasses | None:
 
     rows = []
     trunk = vector(_HIPS) - vector(_SHOULDERS)
+    head = vector(_EARS) if _EARS.keys() <= names else vector(_SHOULDERS) - _HEAD_OVER_TRUNK * trunk
     lengths = {name: float(shares @ np.array(values)) for name, values in _LENGTHS[subject.table].items()}
     for name, (women, men) in _TABLES[subject.table].items():
         mass, centre, ahead, right, *radii = shares @ np.array([women, men]) / 100.0
         for side in SIDES if name not in {"head", "trunk", "pelvis"} else (None,):
             orientation = _ORIENTATION.get(name, name if side is None else f"{side}_{name}")
             if side is None:
-                start, axis = (vector(_EARS), 0.0 * trunk) if name == "head" else (vector(_SHOULDERS), trunk)
+                start, axis = (head, 0.0 * trunk) if name == "head" else (vector(_SHOULDERS), trunk)
                 length = lengths["head"] * trunk if name == "head" else trunk
             elif name in _ENDS:
                 start, end = (vector({f"{side}_{joint}": 1.0}) for joint in _ENDS[name])

@@ -74,7 +74,7 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
     ankles_m, knees_m, hips_m = (positions_m(kind) for kind in ("ankle", "knee", "hip"))
     legs_m = np.stack([ankles_m, knees_m, hips_m], axis=2)
     known = np.isfinite(legs_m).all((2, 3))
-    masses = segment_masses(Subject(), joints)
+    masses = segment_masses(Subject(), joints, track.xyz_m)
     if masses is None or known.all(1).sum() < 2:
         return None
     columns = joints.indices(tuple(f"{side}_ankle" for side in SIDES))

@@ -40,3 +40,12 @@ def test_all_problems_of_files_come_at_once(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "no header of TRC" in result.output
     assert "The file does not exist" in result.output
+
+
+def test_stated_mass_scales_momenta(tmp_path: Path) -> None:
+    write_table(tmp_path / "stand.csv")
+    arguments = ["solve", str(tmp_path / "stand.csv"), "--out", str(tmp_path / "out"), "--exports", "csv", "--json"]
+    result = CliRunner().invoke(app, [*arguments, "--mass-kg", "70", "--sex", "female", "--segments", "dumas"])
+    assert result.exit_code == 0, result.output
+    head = (tmp_path / "out" / "person-1.balance.csv").read_text().partition("\n")[0]
+    assert "momentum_x_kg_m_s" in head

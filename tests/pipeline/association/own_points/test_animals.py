@@ -62,6 +62,7 @@ def test_animals_of_any_size_are_tracked(simulation: Simulation, size: float, tm
         np.testing.assert_array_equal(again.own.of_animals[name].keypoints_px, rows.keypoints_px)
     take = reconstruct(session, ReconstructionConfig(refine_calibration="off"))
     assert not take.tracks
+    assert not take.check.findings
     assert take.warnings[-1].message == "Points of your own: animal_1, animal_2, animal_3 are animals."
     assert [thing.name for thing in take.own.objects] == ["animal_1", "animal_2", "animal_3"]
     found = set()
@@ -81,6 +82,7 @@ def test_animals_of_any_size_are_tracked(simulation: Simulation, size: float, tm
     with (tmp_path / "take.glb").open("rb") as file:
         names = [node["name"] for node in GlbReader(file).document["nodes"]]
     assert {"animal_1_spot_0", "animal_3_spot_16"} <= set(names)
+    assert "nobody_found" not in (tmp_path / "metrics.json").read_text()
     document = json.loads((tmp_path / "skeletons.json").read_text())
     assert [thing["name"] for thing in document["objects"]] == ["animal_1", "animal_2", "animal_3"]
 

@@ -5,11 +5,14 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import ezc3d
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from multicap import (
@@ -222,6 +225,35 @@ def test_leaning_runner_does_not_tell_the_axis(take: Path) -> None:
     (finding,) = Session.from_points(bent_m, names, 25.0).findings
     assert (finding.severity, finding.evidence["up"]) == ("warning", "z")
     assert "no person stands" in finding.message
+
+
+def test_arrays_of_movement_and_pandas_give_the_same_people() -> None:
+    names = ["left_shoulder", "right_shoulder", "left_hip", "right_hip"]
+    points_m = np.random.default_rng(0).normal(size=(20, 1, 4, 3))
+    poses = xr.DataArray(points_m, {"keypoints": names}, ("time", "individuals", "keypoints", "space"))
+    expected = Session.from_points(points_m, names, 25.0, "m").people[0].xyz_m
+    for given in (poses.keypoints, pd.Index(names)):
+        session = Session.from_points(poses.transpose("time", "space", ...), given, 25.0, "m")
+        np.testing.assert_array_equal(session.people[0].xyz_m, expected)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"points": [[0.0]]}, "points must be an array, not"),
+        ({"points": pd.DataFrame(np.zeros((3, 6)))}, r"points must be numbers of the shape \(frames, people, 2, 3\)"),
+        ({"joint_of": {"a": "elbow"}}, "The table of names must be a JSON object of our joints"),
+    ],
+)
+def test_wrong_points_get_a_sentence(changes: dict[str, Any], sentence: str) -> None:
+    arguments: dict[str, Any] = {"points": np.zeros((3, 2, 3)), "names": ["a", "b"], "frame_rate_hz": 25.0}
+    with pytest.raises(InputError, match=sentence):
+        Session.from_points(**(arguments | changes))
+
+
+def test_no_files_are_an_error() -> None:
+    with pytest.raises(InputError, match=r"There are no files of 3D points\."):
+        Session.from_files([])
 
 
 @pytest.mark.parametrize(("unit", "unit_m"), [("in", 0.0254), ("cmu", 0.0564444)])

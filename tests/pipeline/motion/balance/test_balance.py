@@ -262,3 +262,23 @@ def test_velocity_equals_filter_of_scipy(num_frames: int, window: int) -> None:
     values = np.random.default_rng(num_frames).normal(size=(num_frames, 3)).cumsum(0)
     expected = savgol_filter(values, window, 2, deriv=1, delta=1.0 / RATE_HZ, axis=0)
     np.testing.assert_array_equal(compute._velocity(values, window, RATE_HZ), expected)
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_head_without_ears_and_feet_without_heels_are_estimated(subject: Subject) -> None:
+    """Marker sets and Human3.6M's points have no ears: the centre of a standing person stays where it was."""
+    motion, track = still(BODY_FEET, 9)
+    expected = balance_of(motion, track, BODY_FEET, subject)
+    lacking = track.xyz_m.copy()
+    lacking[:, BODY_FEET.indices(("left_ear", "right_ear", "left_heel", "right_heel"))] = np.nan
+    balance = balance_of(motion, replace(track, xyz_m=lacking), BODY_FEET, subject)
+    assert expected is not None
+    assert balance is not None
+    assert np.linalg.norm(balance.centre_m - expected.centre_m, axis=-1).max() < 0.004
+
+
+def test_person_without_wrists_has_no_balance() -> None:
+    motion, track = still(BODY_FEET, 9)
+    lacking = track.xyz_m.copy()
+    lacking[:, BODY_FEET.index("left_wrist")] = np.nan
+    assert balance_of(motion, replace(track, xyz_m=lacking), BODY_FEET, SUBJECTS[0]) is None
