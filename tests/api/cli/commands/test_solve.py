@@ -1,6 +1,7 @@
 """`multicap solve`: files of 3D points to skeletons, and problems as sentences."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,10 @@ from api.cli.main import app
 HEIGHTS_M = {"shoulder": 1.45, "hip": 0.95, "knee": 0.5, "ankle": 0.08}
 
 
-def write_table(path: Path, unit: str = "m") -> None:
+def write_table(path: Path, unit: str = "m", heights_m: Mapping[str, float] = HEIGHTS_M) -> None:
     """Write ten frames of a person who stands, with the left side at +X."""
-    names = [f"{side}_{part}" for part in HEIGHTS_M for side in ("left", "right")]
-    places = [f"{0.15 if name.startswith('left') else -0.15},0,{HEIGHTS_M[name.partition('_')[2]]}" for name in names]
+    names = [f"{side}_{part}" for part in heights_m for side in ("left", "right")]
+    places = [f"{0.15 if name.startswith('left') else -0.15},0,{heights_m[name.partition('_')[2]]}" for name in names]
     head = ",".join(f"{name}_{axis}_{unit}" for name in names for axis in "xyz")
     rows = [f"{k / 25},{','.join(places)}" for k in range(10)]
     path.write_text("\n".join([f"time_s,{head}", *rows]) + "\n")
@@ -43,7 +44,7 @@ def test_all_problems_of_files_come_at_once(tmp_path: Path) -> None:
 
 
 def test_stated_mass_scales_momenta(tmp_path: Path) -> None:
-    write_table(tmp_path / "stand.csv")
+    write_table(tmp_path / "stand.csv", heights_m=HEIGHTS_M | {"elbow": 1.15, "wrist": 0.9})
     arguments = ["solve", str(tmp_path / "stand.csv"), "--out", str(tmp_path / "out"), "--exports", "csv", "--json"]
     result = CliRunner().invoke(app, [*arguments, "--mass-kg", "70", "--sex", "female", "--segments", "dumas"])
     assert result.exit_code == 0, result.output
