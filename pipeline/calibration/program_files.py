@@ -68,7 +68,7 @@ def encode_opencap(cameras: Sequence[Camera]) -> bytes:
             "imageSize": np.array([[float(side)] for side in camera.size_px[::-1]]),
             "rotation": rotation,
             "translation": 1000 * camera.cam_from_world.translation_m[:, None],
-            "rotation_EulerAngles": _rotation_vector(rotation)[:, None],
+            "rotation_EulerAngles": write.rotation_of(rotation).as_rotvec()[:, None],
         }
         # NumPy 1, which OpenCap uses, has no module of NumPy 2's name; NumPy 2 knows the older name.
         content = pickle.dumps(document, protocol=3).replace(b"numpy._core", b"numpy.core")
@@ -85,7 +85,7 @@ def encode_easymocap(cameras: Sequence[Camera]) -> bytes:
         distortion = _padded(camera, max(5, len(camera.distortion)))
         intrinsics += [*_storage(f"K_{name}", camera.matrix), *_storage(f"dist_{name}", np.array([distortion]))]
         intrinsics += [f"{side}_{name}: {length}" for side, length in zip("WH", camera.size_px, strict=True)]
-        extrinsics += _storage(f"R_{name}", _rotation_vector(pose.rotation)[:, None])
+        extrinsics += _storage(f"R_{name}", write.rotation_of(pose.rotation).as_rotvec()[:, None])
         extrinsics += [*_storage(f"Rot_{name}", pose.rotation), *_storage(f"T_{name}", pose.translation_m[:, None])]
     files = {"intri.yml": intrinsics, "extri.yml": extrinsics}
     return _zip({name: "\n".join([*lines, ""]).encode() for name, lines in files.items()})
@@ -117,7 +117,12 @@ def encode_colmap(cameras: Sequence[Camera]) -> bytes:
             model = {0: "PINHOLE", 4: "OPENCV", 8: "FULL_OPENCV"}[length]
         # COLMAP's pixel (0, 0) is the outer corner of the first pixel.
         lens = _words([fx, fy, cx + 0.5, cy + 0.5, *_padded(camera, length)])
-        pose = _words([*np.roll(_quaternion(camera.cam_from_world), 1), *camera.cam_from_world.translation_m])
+        pose = _words(
+            [
+                *np.roll(write.rotation_of(camera.cam_from_world.rotation).as_quat(), 1),
+                *camera.cam_from_world.translation_m,
+            ]
+        )
         lenses.append(f"{number} {model} {camera.size_px[0]} {camera.size_px[1]} {lens}")
         images += [f"{number} {pose} {number} {camera.name}.png", ""]
     points = "# 3D point list with one line of data per point:\n"
@@ -151,7 +156,7 @@ def encode_mamma(cameras: Sequence[Camera]) -> bytes:
             f"  {json.dumps(camera.name, ensure_ascii=False)}:",
             *_lens_lines(camera, "    "),
             f"    translation: {json.dumps(pose.translation_m.tolist())}",
-            f"    rotation_quaternion: {json.dumps(np.roll(_quaternion(pose), 1).tolist())}",
+            f"    rotation_quaternion: {json.dumps(np.roll(write.rotation_of(pose.rotation).as_quat(), 1).tolist())}",
         ]
     return "\n".join([*lines, ""]).encode()
 
@@ -178,18 +183,6 @@ def _transform_lines(name: str, pose: Rigid3) -> list[str]:
 def _padded(camera: Camera, length: int) -> list[float]:
     """So many coefficients: zeros for missing ones; ``refusals`` has none beyond."""
     return [*camera.distortion.tolist(), *[0.0] * length][:length]
-
-
-def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
-
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
-
-
-def _quaternion(pose: Rigid3) -> np.ndarray:
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
-
-    return np.asarray(Rotation.from_matrix(pose.rotation).as_quat())
 
 
 def _words(numbers: Iterable[float]) -> str:

@@ -91,11 +91,15 @@ ENCODERS: Mapping[str, Callable[[Sequence[Camera]], bytes]] = {
 _KEY = re.compile(r"(?!cameras$)[A-Za-z_][A-Za-z0-9_-]*")
 
 
-def _rotation_vector(camera: Camera) -> list[float]:
+def rotation_of(matrix: Any) -> Any:
+    """Rotation of SciPy by its matrix."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - slow to import, and seldom needed
 
-    vector: list[float] = Rotation.from_matrix(camera.cam_from_world.rotation).as_rotvec().tolist()
-    return vector
+    return Rotation.from_matrix(matrix)
+
+
+def _rotation_vector(camera: Camera) -> list[float]:
+    return list(rotation_of(camera.cam_from_world.rotation).as_rotvec().tolist())
 
 
 def _coefficients(camera: Camera) -> list[float]:

@@ -85,36 +85,14 @@ def scene_cameras(
 def calibrate_scene(
     cameras: Sequence[Camera], points: Sequence[KnownPoint], has_intrinsics: bool, up: Up = "z"
 ) -> CalibrationResult:
-    """Calibrate cameras from known points that each of them sees.
+    """Calibrate cameras from known points that each of them sees, by SQPnP (Terzakis and Lourakis 2020) and planes.
 
-    Parameters
-    ----------
-    cameras
-        Cameras with sizes of pictures; their poses are ignored.
-    points
-        World coordinates in metres, and the pixels that cameras see.
-    has_intrinsics
-        Whether the lenses are known. Else focal lengths and first radial coefficients are estimated.
-    up
-        Axis of the points' world that points up; it becomes Z.
+    - ``cameras``: cameras with sizes of pictures; their poses are ignored.
+    - ``points``: world coordinates in metres, and the pixels that cameras see.
+    - ``has_intrinsics``: the lenses are known. Else focal lengths and first radial coefficients are estimated.
+    - ``up``: axis of the points' world that points up; it becomes Z.
+    - Raises ``InputError``: with too few points of a camera, points on a line, and points that don't fit.
 
-    Returns
-    -------
-    CalibrationResult
-        Cameras in the world of the points, with the error of each point.
-
-    Raises
-    ------
-    InputError
-        With all that is wrong: too few points of a camera, points on a line, and points that don't fit.
-
-    References
-    ----------
-    Terzakis and Lourakis, "A Consistently Fast and Globally Optimal Solution to the Perspective-n-Point Problem"
-    (2020). Collins and Bartoli, "Infinitesimal Plane-Based Pose Estimation" (2014).
-
-    Examples
-    --------
     >>> from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
     >>> cameras = build_cameras(Rig(Layout.RING, 2, (3.0, 2.5), 2.0), np.random.default_rng(0))
     >>> corners_m = np.array([[x, y, z] for x in (0.0, 0.8) for y in (0.0, 0.6) for z in (0.4, 1.2)])

@@ -38,10 +38,10 @@ def require(problems: Iterable[Problem]) -> None:
         raise InputError(found)
 
 
-def unlisted_value(name: str, value: Any, values: Iterable[str]) -> Iterator[Problem]:
+def unlisted_value(name: str, value: Any, values: Iterable[Any]) -> Iterator[Problem]:
     """Find out whether an argument is none of the values that it may have."""
     if value not in (allowed := tuple(values)):
-        message = f"{name} must be one of {', '.join(allowed) or 'none'}, not {value!r:.80}."
+        message = f"{name} must be one of {', '.join(map(str, allowed)) or 'none'}, not {value!r:.80}."
         yield Problem(request_codes.VALUE_NOT_ALLOWED, message, field=name)
 
 

@@ -64,14 +64,13 @@ def plot(
 def _problems(
     take: Reconstruction, person: int | None, angle: str | None, camera: str | None, frame: int | None
 ) -> Iterator[Problem]:
-    numbers = [track.track_id for track in take.tracks]
-    if person is not None and person not in numbers:
-        message = f"person must be one of {', '.join(map(str, numbers)) or 'none'}, not {person!r:.80}."
-        yield Problem(VALUE_NOT_ALLOWED, message, field="person")
-    if angle is not None:
-        yield from unlisted_value("angle", angle, observable_angles(take.joints))
-    if camera is not None:
-        yield from unlisted_value("camera", camera, (known.name for known in take.cameras))
+    for name, value, values in (
+        ("person", person, [track.track_id for track in take.tracks]),
+        ("angle", angle, observable_angles(take.joints)),
+        ("camera", camera, [known.name for known in take.cameras]),
+    ):
+        if value is not None:
+            yield from unlisted_value(name, value, values)
     if angle is not None and camera is not None:
         yield Problem(VALUE_NOT_ALLOWED, "angle and camera can't be drawn together.", field="angle", hint="Omit one.")
     if frame is not None and frame not in range(take.timebase.num_frames):
