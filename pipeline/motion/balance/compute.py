@@ -67,7 +67,7 @@ def balance_of(motion: SkeletonMotion, track: Track3D, joints: JointSet, subject
 
     ``motion``: motion of the skeleton, whose rotations turn the segments, with the contacts of the feet. ``track``:
     final positions of the joints in the same frames. ``subject``: table of segments, sex and mass. Returns balance in
-    the frames of the track; ``None`` if a shoulder, hip or joint of a limb is never known.
+    the frames of the track; ``None`` if the joints of the detector lack one of a limb.
     """
     masses = segment_masses(subject, joints, track.xyz_m)
     if masses is None:

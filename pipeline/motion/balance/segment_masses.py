@@ -90,7 +90,7 @@ class SegmentMasses:
 def segment_masses(
     subject: Subject, joints: JointSet, xyz_m: Float[np.ndarray, "frames joints 3"] | None = None
 ) -> SegmentMasses | None:
-    """Segments of a person; ``None`` where a shoulder, hip or joint of a limb is never known.
+    """Segments of a person; ``None`` where the joints of the detector lack one of a limb.
 
     ``xyz_m``: positions of the person's joints, NaN where unknown; ``None``: all joints are known.
 
@@ -100,10 +100,10 @@ def segment_masses(
     1.0
     """
     names, shares = set(joints.names), np.array(_OF_SEX[subject.sex])
-    if xyz_m is not None:
-        names = {joints.names[k] for k in np.flatnonzero(np.isfinite(xyz_m).all(-1).any(0))}
     if not {f"{side}_{joint}" for side in SIDES for ends in _ENDS.values() for joint in ends} <= names:
         return None
+    if xyz_m is not None:
+        names = {joints.names[k] for k in np.flatnonzero(np.isfinite(xyz_m).all(-1).any(0))}
 
     def vector(weights: Mapping[str, float]) -> np.ndarray:
         return np.array([weights.get(name, 0.0) for name in joints.names])
