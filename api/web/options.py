@@ -25,7 +25,7 @@ from pipeline.core.options.rules import install_command
 from pipeline.core.problems.request_codes import NOT_FOUND
 from pipeline.core.runtime.packages import samples
 from pipeline.run.space import CAMERA_FRAME_S
-from worker.store.repositories.work.workers import installed_detectors, writable_formats
+from worker.store.repositories.work.workers import shared_by_ready
 
 
 class DetectorOut(ResponseModel):
@@ -168,7 +168,7 @@ _INSTALL = "Run: multicap samples install"
 def get_options(services: ServicesDep, _: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """List the choices of a job with their values, limits and defaults, and the networks that are installed."""
     workers = services.store.workers.all()
-    installed, writable = installed_detectors(workers), writable_formats(workers)
+    installed, writable = shared_by_ready(workers, "detectors"), shared_by_ready(workers, "formats")
     # Formats whose package a ready worker lacks.
     packed = (name for name, form in FILE_FORMATS.items() if form.package is not None)
     missing = [] if writable is None else [name for name in packed if name not in writable]

@@ -29,9 +29,9 @@ from worker.run.webhooks.sender import Sender, deliver_forever
 from worker.store.errors import Conflict, DamagedDatabase, NotFound
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.files.disk import DiskSpace, keep_files_private
-from worker.store.files.unneeded import orphaned_prefixes, remove_files
 from worker.store.outages import Outage, find_outage
 from worker.store.queue import WorkQueue
+from worker.store.repositories.work.expiry import orphaned_prefixes, remove_files
 from worker.store.store import JobStore
 
 log = structlog.get_logger()

@@ -191,7 +191,7 @@ class Runner:
             log.error("chunk_failed", attempt=claim.attempt, exc_info=error)
             return partial(self._store.leases.fail, *_held(claim), job_problem(error, claim.stage))
         log.warning("chunk_given_back", outage=self._outage, exc_info=error)
-        return partial(self._store.leases.give_back, *_held(claim), waiting_for(self._outage, claim.stage))
+        return partial(self._store.leases.release, *_held(claim), waiting_for(self._outage, claim.stage))
 
     def _report(self, claim: Claim, lease: Lease, record: Callable[[], bool]) -> bool:
         """Record what came of a chunk, as soon as the database responds; return whether more work became ready.
@@ -331,12 +331,7 @@ class Runner:
     def _piece(self, claim: Claim, key: str) -> bytes | None:
         """Piece that an earlier chunk has kept; ``None`` if it is missing or damaged."""
         recorded = self._store.outputs.find(claim.session_id, key)
-        if recorded is None:
-            return None
-        try:
-            return read_artifact(self._artifacts, stage_key(claim.session_id, key), recorded[0] or "")
-        except (NotFound, DamagedArtifact):
-            return None
+        return None if recorded is None else self._stored(claim, recorded[0], key)
 
     def _keep_piece(self, claim: Claim, key: str, path: Path) -> KeptPiece:
         piece = KeptPiece(key, *_measured(path))

@@ -1,12 +1,11 @@
 """`multicap audit`: the audit trail of a service."""
 
 from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, show_list, shows_help
+from api.cli.console import DataOption, JsonOption, show_list, shows_help
 from worker.store.model.rights import AuditEvent
 
 if not shows_help():
@@ -18,7 +17,7 @@ def command(
     limit: Annotated[
         int, typer.Option(min=1, max=1_000_000, help="Largest number of entries; the last ones are listed.")
     ] = 100,
-    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """List creations, changes and deletions in the service with their tenant and key, the latest first."""
@@ -26,25 +25,12 @@ def command(
         events = store.audit.events(tenant, limit)
         names = {key.id: key.name for key in store.keys.all()}
 
-    def key_name(event: AuditEvent) -> str:
-        return names.get(event.actor.key_id, event.actor.key_id) if event.actor.key_id else ""
-
     cells: dict[str, Callable[[AuditEvent], str]] = {
         "when": lambda event: f"{event.done_at:%Y-%m-%d %H:%M:%S} UTC",
         "tenant": lambda event: event.tenant,
-        "key": key_name,
+        "key": lambda event: names.get(event.key_id or "", event.key_id or ""),
         "did": lambda event: event.act,
         "to": lambda event: event.subject,
     }
-    show_list("events", events, _document, cells, as_json)
-
-
-def _document(event: AuditEvent) -> dict[str, Any]:
-    return {
-        "done_at": event.done_at.isoformat(),
-        "tenant": event.tenant,
-        "key_id": event.actor.key_id,
-        "request_id": event.actor.request_id,
-        "act": event.act,
-        "subject": event.subject,
-    }
+    fields = ("done_at", "tenant", "key_id", "request_id", "act", "subject")
+    show_list("events", events, fields, cells, as_json)

@@ -153,9 +153,9 @@ class PhoneConnection:
             case messages.PhoneRename():
                 return recordings.rename_phone(recording_id, self._number, message.name)
             case messages.PhoneStarted():
-                return recordings.clip_started(recording_id, message.take, self._number, facts)
+                return recordings.report_clip(recording_id, message.take, self._number, "started", facts)
             case messages.PhoneStopped():
-                return recordings.clip_stopped(recording_id, message.take, self._number, facts)
+                return recordings.report_clip(recording_id, message.take, self._number, "stopped", facts)
             case messages.PhoneFile():
                 return recordings.add_file(recording_id, message.take, self._number, _clip_file(message))
 

@@ -16,9 +16,9 @@ from pipeline.core.problems.request_codes import NOT_FINISHED, VIDEOS_DELETED
 from worker.run.planning import has_videos
 from worker.store.errors import NotFound
 from worker.store.files.file_keys import thumbnail_key
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import Result
 from worker.store.model.session_records import Session
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["sessions"])

@@ -423,4 +423,4 @@ def test_audit_says_by_which_key_and_request(guarded: Guarded) -> None:
     key = guarded.live.services.store.keys.find(guarded.mine)
     assert key is not None
     assert (event.act, event.subject) == ("session-created", session_id)
-    assert (event.actor.key_id, event.actor.request_id) == (key.id, answer.headers["x-request-id"])
+    assert (event.key_id, event.request_id) == (key.id, answer.headers["x-request-id"])

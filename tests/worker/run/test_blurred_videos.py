@@ -6,9 +6,9 @@ from pipeline.core.options.edits import Remove
 from pipeline.run.engine.stage import BLUR, DETECT, HEADS
 from tests.worker.conftest import RESULT, RunnerBench
 from worker.run.planning import plan_remake
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import FilesAdded, JobSpec
 
 SPEC = JobSpec(blur_faces=True, overlay=True)

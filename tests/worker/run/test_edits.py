@@ -18,10 +18,10 @@ from worker.run.chunk import StoppedError, Work
 from worker.run.planning import plan_again, plan_job, plan_remake
 from worker.store.errors import Conflict, EditedMeanwhile
 from worker.store.files.file_keys import results_prefix
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.states import FilesState, JobState
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import JobSpec
 
 FIRST, NOBODY, ANNA = Remove(person=1), Remove(person=2), Rename(person=1, name="Anna")

@@ -12,9 +12,9 @@ from tests.worker.conftest import RESULT, RunnerBench, detect, fit, identify
 from worker.run.chunk import StoppedError, Work
 from worker.run.planning import plan_job
 from worker.store.backup.create import create_backup
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import JobSpec
 
 NUM_CHUNKS = 4

@@ -240,7 +240,7 @@ def test_every_change_of_wait_is_event(bench: RunnerBench) -> None:
     claim = bench.store.leases.claim("worker", 20.0)
     assert claim is not None
     claimed = bench.store.jobs.changes([job.id])[job.id]
-    assert bench.store.leases.give_back(claim.chunk_id, claim.lease_token, waiting_for(Outage.ARTIFACTS, claim.stage))
+    assert bench.store.leases.release(claim.chunk_id, claim.lease_token, waiting_for(Outage.ARTIFACTS, claim.stage))
     waiting = bench.store.jobs.changes([job.id])[job.id]
     assert len({change.event for change in (before, claimed, waiting)}) == 3
     again = bench.store.leases.claim("worker", 20.0)

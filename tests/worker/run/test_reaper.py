@@ -22,8 +22,8 @@ from worker.store.database.totals import Total
 from worker.store.errors import Conflict
 from worker.store.files.disk import DiskSpace
 from worker.store.files.file_keys import record_key, result_key, stage_key
-from worker.store.files.unneeded import remove_files
 from worker.store.model.states import JobState
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.store import JobStore
 
 LEASE_S = 20.0

@@ -12,9 +12,9 @@ from worker.run.planning import plan_again, plan_visuals
 from worker.run.reaper import Reaper
 from worker.store.errors import Conflict, NotFound
 from worker.store.files.disk import DiskSpace
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord
 from worker.store.model.states import JobState
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import JobSpec
 
 FIRST, SECOND = Remove(person=1), Remove(person=2)

@@ -15,11 +15,11 @@ from worker.store.backup.restore import restore_backup
 from worker.store.errors import Conflict
 from worker.store.files.artifacts import LocalArtifacts
 from worker.store.files.file_keys import input_key, record_key, result_key, stage_key
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import JobRecord, Result
 from worker.store.model.rights import Scope
 from worker.store.model.session_records import InputFile
 from worker.store.model.work import ChunkPlan, StagePlan
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
 

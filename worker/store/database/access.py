@@ -37,14 +37,11 @@ class OpenTransaction:
     connection: Connection
 
     @contextlib.contextmanager
-    def reading(self) -> Iterator[Connection]:
-        """Lend the connection."""
-        yield self.connection
-
-    @contextlib.contextmanager
     def writing(self) -> Iterator[Connection]:
         """Lend the connection."""
         yield self.connection
+
+    reading = writing
 
 
 _COMMAND_LINE = Actor()
@@ -87,6 +84,13 @@ class Access:
         lock(connection, f"quotas of {self.owner}")  # two requests at once must not both take the last place
         read = read_unfinished if more.keys() == {"unfinished_jobs"} else read_usage
         require_room(self.quotas, read(connection, self.owner), **more)
+
+
+class ServiceRepository:
+    """Rows of the whole service, whatever their tenants."""
+
+    def __init__(self, transactions: Transactions) -> None:
+        self._transactions = transactions
 
 
 class Repository:

@@ -22,6 +22,7 @@ class Quotas:
 
 
 NO_QUOTAS = Quotas()
+_TABLES_WITH_BYTES = (sessions, calibrations, characters, uploads)
 
 
 def read_usage(connection: Connection, tenant: str) -> Usage:
@@ -30,32 +31,21 @@ def read_usage(connection: Connection, tenant: str) -> Usage:
     ``stored_bytes`` counts input files of sessions, outputs of chunks, results, calibrations, characters and
     their copies of jobs, and uploads by their announced sizes.
     """
-    mine = jobs.c.tenant == tenant
-    num_sessions, input_bytes = connection.execute(
-        select(func.count(), func.coalesce(func.sum(sessions.c.num_bytes), 0)).where(sessions.c.tenant == tenant)
-    ).one()
-    found = select(func.coalesce(func.sum(artifacts.c.num_bytes), 0)).join(sessions).where(sessions.c.tenant == tenant)
-    shown = (
-        select(func.coalesce(func.sum(results.c.num_bytes), 0)).join(jobs).where(mine, jobs.c.state != JobState.EXPIRED)
+    is_kept = (jobs.c.tenant == tenant, jobs.c.state != JobState.EXPIRED)
+    copied_bytes = jobs.c.character[("file", "num_bytes")].as_integer()
+    sums = [
+        *(select(func.sum(table.c.num_bytes)).where(table.c.tenant == tenant) for table in _TABLES_WITH_BYTES),
+        select(func.sum(artifacts.c.num_bytes)).join(sessions).where(sessions.c.tenant == tenant),
+        select(func.sum(results.c.num_bytes)).join(jobs).where(*is_kept),
+        select(func.sum(copied_bytes)).where(*is_kept, jobs.c.reconstruction_id.is_(None)),
+    ]
+    num_sessions, num_uploads = (
+        connection.scalar(select(func.count()).where(table.c.tenant == tenant)) or 0 for table in (sessions, uploads)
     )
-    calibrated = select(func.coalesce(func.sum(calibrations.c.num_bytes), 0)).where(calibrations.c.tenant == tenant)
-    moved = select(func.coalesce(func.sum(characters.c.num_bytes), 0)).where(characters.c.tenant == tenant)
-    is_copy = (mine, jobs.c.state != JobState.EXPIRED, jobs.c.reconstruction_id.is_(None))
-    copied = select(func.coalesce(func.sum(jobs.c.character[("file", "num_bytes")].as_integer()), 0)).where(*is_copy)
-    num_uploads, upload_bytes = connection.execute(
-        select(func.count(), func.coalesce(func.sum(uploads.c.num_bytes), 0)).where(uploads.c.tenant == tenant)
-    ).one()
     return Usage(
         sessions=num_sessions,
         unfinished_jobs=_count_unfinished(connection, tenant),
-        stored_bytes=sum(
-            int(some or 0)
-            for some in (
-                input_bytes,
-                *(connection.scalar(query) for query in (found, shown, calibrated, moved, copied)),
-                upload_bytes,
-            )
-        ),
+        stored_bytes=sum(int(connection.scalar(query) or 0) for query in sums),
         uploads=num_uploads,
     )
 
@@ -71,22 +61,8 @@ def _count_unfinished(connection: Connection, tenant: str) -> int:
     return connection.scalar(select(func.count()).where(jobs.c.tenant == tenant, *is_unfinished)) or 0
 
 
-def require_room(
-    quotas: Quotas,
-    used: Usage,
-    *,
-    sessions: int = 0,
-    unfinished_jobs: int = 0,
-    stored_bytes: int = 0,
-    uploads: int = 0,
-) -> None:
-    """Raise ``QuotaExceeded`` if more of something would exceed a quota."""
-    more = {
-        "sessions": sessions,
-        "unfinished_jobs": unfinished_jobs,
-        "stored_bytes": stored_bytes,
-        "uploads": uploads,
-    }
+def require_room(quotas: Quotas, used: Usage, **more: int) -> None:
+    """Raise ``QuotaExceeded`` if more would exceed a quota; ``more`` has amounts by the names of quotas."""
     for name, limit in asdict(quotas).items():
-        if limit is not None and more[name] > 0 and getattr(used, name) + more[name] > limit:
+        if limit is not None and more.get(name, 0) > 0 and getattr(used, name) + more[name] > limit:
             raise QuotaExceeded(name, limit, getattr(used, name))

@@ -3,13 +3,15 @@
 Result files are listed when their chunk is finished, and dropped when files of a newer revision replace them.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from datetime import timedelta
 
 from sqlalchemy import ColumnElement, Connection, Text, cast, delete, insert, select
+from uuid_utils import uuid7
 
 from pipeline.core.options.job_choices import VISUAL_KINDS
+from worker.store.database.access import Repository
 from worker.store.database.connection import now
 from worker.store.database.tables import idempotency_keys, removals, results
 from worker.store.model.job_records import Result
@@ -30,6 +32,19 @@ def remove_later(connection: Connection, prefix: str) -> None:
 def remove_unless_kept(connection: Connection, prefix: str) -> None:
     """Note files that are about to be stored to be removed after a day, unless ``keep`` is called before."""
     connection.execute(insert(removals).values(prefix=prefix, due_at=now() + _ARRIVAL.total_seconds()))
+
+
+class StoringRepository(Repository):
+    """Records with stored files, all under the prefix of the record's id."""
+
+    _prefix: Callable[[str], str]
+
+    def reserve_id(self) -> str:
+        """Make the id of a record whose files are about to be stored; they are removed after a day without ``add``."""
+        record_id = str(uuid7())
+        with self._access.writing() as connection:
+            remove_unless_kept(connection, self._prefix(record_id))
+        return record_id
 
 
 def keep(connection: Connection, prefix: str) -> bool:

@@ -46,7 +46,8 @@ class AuditEvent:
 
     done_at: datetime
     tenant: str
-    actor: Actor
+    key_id: str | None  # Like ``Actor``, as the next one
+    request_id: str | None
     act: str
     subject: str
 

@@ -7,8 +7,9 @@ from enum import StrEnum
 
 from sqlalchemy import Connection, insert, select
 
-from worker.store.database.access import Transactions, newest_first
+from worker.store.database.access import ServiceRepository, newest_first
 from worker.store.database.connection import now
+from worker.store.database.rows import read
 from worker.store.database.tables import audit
 from worker.store.model.rights import Actor, AuditEvent
 
@@ -54,11 +55,8 @@ def record_event(connection: Connection, actor: Actor, tenant: str, action: Audi
     )
 
 
-class Audit:
+class Audit(ServiceRepository):
     """Audit events of all tenants."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def events(self, tenant: str | None = None, limit: int = 100) -> list[AuditEvent]:
         """Last events of a tenant or of all tenants, the newest first."""
@@ -66,7 +64,4 @@ class Audit:
         if tenant is not None:
             query = query.where(audit.c.tenant == tenant)
         with self._transactions.reading() as connection:
-            return [
-                AuditEvent(row.done_at, row.tenant, Actor(row.key_id, row.request_id), row.act, row.subject)
-                for row in connection.execute(query)
-            ]
+            return [read(AuditEvent, row) for row in connection.execute(query)]

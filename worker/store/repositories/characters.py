@@ -6,12 +6,11 @@ from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Row, delete, insert, select, update
-from uuid_utils import uuid7
 
-from worker.store.database.access import Repository, existing, newest_first
+from worker.store.database.access import existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import read
-from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
+from worker.store.database.stored_files import StoringRepository, forget_answers, keep, remove_later
 from worker.store.database.tables import characters
 from worker.store.errors import Conflict
 from worker.store.files.file_keys import character_prefix
@@ -21,18 +20,10 @@ from worker.store.repositories.audit import AuditAction, record_event
 CharacterT = TypeVar("CharacterT", bound=CharacterSummary)
 
 
-class Characters(Repository):
+class Characters(StoringRepository):
     """Characters of a tenant, or of all tenants."""
 
-    def reserve_id(self) -> str:
-        """Make the id of a character whose file is about to be stored.
-
-        The file is removed after a day unless ``add`` is called with the id.
-        """
-        character_id = str(uuid7())
-        with self._access.writing() as connection:
-            remove_unless_kept(connection, character_prefix(character_id))
-        return character_id
+    _prefix = staticmethod(character_prefix)
 
     def add(
         self,

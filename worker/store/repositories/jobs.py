@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select
+from sqlalchemy import ColumnElement, Connection, Row, delete, func, insert, select
 from uuid_utils import uuid7
 
 from pipeline.core.options.config import ReconstructionConfig
@@ -17,27 +17,23 @@ from worker.store.database.access import Access, Repository, existing, newest_fi
 from worker.store.database.connection import now
 from worker.store.database.rows import is_in_state, read, read_jobs, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
-from worker.store.database.transitions import cancel_chunks, delete_visuals_job, move_job, note, settle_canceling
+from worker.store.database.transitions import (
+    cancel_chunks,
+    delete_visuals_job,
+    keep_attempt,
+    move_job,
+    note,
+    read_attempts,
+    settle_canceling,
+)
 from worker.store.errors import Conflict, NoResults, NotFinished, NotFound, VideosDeleted
 from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
+from worker.store.model import job_records
 from worker.store.model.character_records import JobCharacter
-from worker.store.model.job_records import (
-    SIDE_KINDS,
-    Attempt,
-    JobKind,
-    JobProblem,
-    JobRecord,
-    Making,
-    Result,
-    is_worth_a_retry,
-    job_config,
-    job_kind,
-)
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.states import FINISHED, REMAKABLE, RETRYABLE, ChunkState, JobState
 from worker.store.model.work import Change, Precedence, Remake, StagePlan
 from worker.store.repositories.arrivals import wait_for_videos
-from worker.store.repositories.attempts import keep_attempt, read_attempts
 from worker.store.repositories.audit import AuditAction, record_event
 from worker.store.repositories.calibrations import forget_unmade
 from worker.store.repositories.sessions import delete_proxies, lock_session, read_session_edits, replace_edits
@@ -47,18 +43,10 @@ from worker.store.spec import FilesAdded, JobSpec
 _NO_EDITS = SessionEdits()
 
 
-class Jobs(Repository):
+class Jobs(stored_files.StoringRepository):
     """Jobs of a tenant, or of all tenants."""
 
-    def reserve_id(self) -> str:
-        """Make the id of a job whose copy of a character is about to be stored.
-
-        The copy is removed after a day unless ``add`` is called with the id.
-        """
-        job_id = str(uuid7())
-        with self._access.writing() as connection:
-            stored_files.remove_unless_kept(connection, job_prefix(job_id))
-        return job_id
+    _prefix = staticmethod(job_prefix)
 
     def add(
         self,
@@ -67,10 +55,10 @@ class Jobs(Repository):
         stages: Sequence[StagePlan],
         retention_s: float | None = None,
         trace: str | None = None,
-        making: Making | None = None,
+        making: job_records.Making | None = None,
         moved: tuple[str, JobCharacter] | None = None,
         edits: SessionEdits = _NO_EDITS,
-    ) -> JobRecord:
+    ) -> job_records.JobRecord:
         """Queue a job; its first stage is ready. The caller publishes that there is work.
 
         A job without stages is one of a session whose videos are fetched: they are planned when the videos are there.
@@ -95,12 +83,12 @@ class Jobs(Repository):
                 access.require_room(connection, stored_bytes=character.file.num_bytes)
                 if not stored_files.keep(connection, job_prefix(job_id)):
                     raise Conflict("The copy of the character took too long; send the request again.")
-            if job_kind(making) not in SIDE_KINDS:  # which the tenant has not asked for
+            if job_records.job_kind(making) not in job_records.SIDE_KINDS:  # which the tenant has not asked for
                 access.require_room(connection, unfinished_jobs=1)
             if spec.blur_faces:
                 delete_proxies(connection, access, session_id)
             tenant = lock_session(connection, access, session_id)
-            config = job_config(spec, making, edits.edits, character=character)
+            config = job_records.job_config(spec, making, edits.edits, character=character)
             require_videos(connection, session_id, stages, config)
             connection.execute(
                 insert(jobs).values(
@@ -115,7 +103,7 @@ class Jobs(Repository):
                     queued_at=now(),
                     retention_s=retention_s,
                     trace=trace,
-                    kind=job_kind(making),
+                    kind=job_records.job_kind(making),
                     making=None if making is None else asdict(making),
                     character=None if character is None else asdict(character),
                     edits=[edit_document(edit) for edit in edits.edits],
@@ -130,7 +118,7 @@ class Jobs(Repository):
             record_event(connection, access.actor, tenant, AuditAction.JOB_CREATED, job_id)
             return self._read(connection, job_id)
 
-    def get(self, job_id: str) -> JobRecord:
+    def get(self, job_id: str) -> job_records.JobRecord:
         """Job with an id; ``NotFound`` if there is none."""
         with self._access.reading() as connection:
             return self._read(connection, job_id)
@@ -141,8 +129,8 @@ class Jobs(Repository):
         limit: int = 50,
         after: str | None = None,
         session_id: str | None = None,
-        kind: JobKind | None = None,
-    ) -> list[JobRecord]:
+        kind: job_records.JobKind | None = None,
+    ) -> list[job_records.JobRecord]:
         """Jobs, the newest first: all of them, or those in a state or of a session.
 
         ``after`` is the last id of the page before. Without a ``kind``, all kinds but ``SIDE_KINDS``.
@@ -152,7 +140,7 @@ class Jobs(Repository):
             query = query.where(is_in_state(state))
         if session_id is not None:
             query = query.where(jobs.c.session_id == session_id)
-        query = query.where(jobs.c.kind.not_in(SIDE_KINDS) if kind is None else jobs.c.kind == kind)
+        query = query.where(jobs.c.kind.not_in(job_records.SIDE_KINDS) if kind is None else jobs.c.kind == kind)
         with self._access.reading() as connection:
             return read_jobs(connection, connection.execute(query).all())
 
@@ -166,12 +154,12 @@ class Jobs(Repository):
         with self._access.reading() as connection:
             return {row.id: Change(row.event, row.done) for row in connection.execute(query)}
 
-    def attempts(self, job_id: str) -> list[Attempt]:
+    def attempts(self, job_id: str) -> list[job_records.Attempt]:
         """Attempts of a job with their failures, the first attempt first; ``NotFound`` without a job."""
         with self._access.reading() as connection:
             return read_attempts(connection, job_row(connection, self._access, job_id))
 
-    def cancel(self, job_id: str) -> JobRecord:
+    def cancel(self, job_id: str) -> job_records.JobRecord:
         """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
 
         Raises ``NotFound``, or ``Conflict`` if the job is finished.
@@ -186,7 +174,7 @@ class Jobs(Repository):
             settle_canceling(connection, job_id)
             return self._read(connection, job_id)
 
-    def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> JobRecord:
+    def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> job_records.JobRecord:
         """Queue a failed or canceled job again, as its next attempt. The caller publishes that there is work.
 
         Workers reuse outputs that are stored already. ``trace`` as in ``add``. Raises ``NotFound``, ``QuotaExceeded``,
@@ -219,13 +207,13 @@ class Jobs(Repository):
     def remake(
         self,
         job_id: str,
-        plan: Callable[[JobRecord], Remake],
+        plan: Callable[[job_records.JobRecord], Remake],
         added: FilesAdded | None = None,
         edits: Sequence[PeopleEdit] | None = None,
         edits_revision: int | None = None,
         moved: tuple[str, JobCharacter] | None = None,
         trace: str | None = None,
-    ) -> JobRecord:
+    ) -> job_records.JobRecord:
         """Make the files of a job again, with the present edits of its session, as its next revision and attempt.
 
         Chunks that are done under the same keys stay done. An attempt that has not ended is given up: its running
@@ -325,13 +313,13 @@ class Jobs(Repository):
             forget_unmade(connection, job_id)
             connection.execute(delete(jobs).where(jobs.c.id == job_id))
 
-    def _read(self, connection: Connection, job_id: str) -> JobRecord:
+    def _read(self, connection: Connection, job_id: str) -> job_records.JobRecord:
         query = select_jobs().where(jobs.c.id == job_id, self._access.may_reach(jobs))
         return existing(next(iter(read_jobs(connection, connection.execute(query).all())), None), "job")
 
 
-def _config(job: JobRecord) -> ReconstructionConfig:
-    return job_config(job.spec, job.making, job.edits, job.revision, job.character)
+def _config(job: job_records.JobRecord) -> ReconstructionConfig:
+    return job_records.job_config(job.spec, job.making, job.edits, job.revision, job.character)
 
 
 def _visuals(spec: JobSpec) -> tuple[bool, ...]:
@@ -348,11 +336,11 @@ def job_row(connection: Connection, access: Access, job_id: str, lock: bool = Fa
 class Results(Repository):
     """Results of the jobs of a tenant, or of all tenants."""
 
-    def downloads(self, job_id: str) -> list[Result]:
+    def downloads(self, job_id: str) -> list[job_records.Result]:
         """Results of a job for downloads, by name, without the files of viewers; errors like ``all``."""
         return [result for result in self.all(job_id) if result.kind != VIEWER]
 
-    def all(self, job_id: str) -> list[Result]:
+    def all(self, job_id: str) -> list[job_records.Result]:
         """Results of a job, by name.
 
         Raises ``NotFound``, ``NotFinished`` if no revision of the job has succeeded yet, or ``NoResults`` if it failed
@@ -363,14 +351,14 @@ class Results(Repository):
             job = job_row(connection, self._access, job_id)
             if job.results_revision is None and job.state not in FINISHED:
                 raise NotFinished("The job is unfinished; its results come with its end.")
-            found = [read(Result, row) for row in connection.execute(query)]
+            found = [read(job_records.Result, row) for row in connection.execute(query)]
         if not found and job.results_revision is None:
-            problem = from_json(JobProblem, job.problem)
+            problem = from_json(job_records.JobProblem, job.problem)
             reason = f"{problem.code}: {problem.detail}" if problem else None
-            raise NoResults(job.state, reason, is_worth_a_retry(JobState(job.state), problem))
+            raise NoResults(job.state, reason, job_records.is_worth_a_retry(JobState(job.state), problem))
         return found
 
-    def listed(self, job_id: str, name: str) -> Result | None:
+    def listed(self, job_id: str, name: str) -> job_records.Result | None:
         """Result of a job by name, in whatever state the job is; ``None`` if there is none of this name.
 
         Raises ``NotFound`` if there is no such job.
@@ -379,37 +367,25 @@ class Results(Repository):
         with self._access.reading() as connection:
             job_row(connection, self._access, job_id)
             row = connection.execute(query).one_or_none()
-        return None if row is None else read(Result, row)
+        return None if row is None else read(job_records.Result, row)
 
-    def proxy(self, session_id: str, name: str) -> Result | None:
+    def proxy(self, session_id: str, name: str) -> job_records.Result | None:
         """Proxy of a session by its name, as soon as it is made; ``None`` before, and without a session."""
-        query = (
-            select(results)
-            .join(jobs)
-            .where(jobs.c.session_id == session_id, jobs.c.kind == "proxies", results.c.name == name)
-            .where(self._access.may_reach(jobs))
-            .order_by(jobs.c.id.desc())
-            .limit(1)
-        )
-        with self._access.reading() as connection:
-            row = connection.execute(query).one_or_none()
-        return None if row is None else read(Result, row)
+        return self._newest(session_id, name, jobs.c.kind == "proxies")
 
-    def blurred(self, session_id: str, name: str) -> Result | None:
+    def blurred(self, session_id: str, name: str) -> job_records.Result | None:
         """Blurred video of a session by its name, of the newest job that has made it; ``None`` if none has."""
-        query = (
-            select(results)
-            .join(jobs)
-            .where(jobs.c.session_id == session_id, results.c.kind == BLURRED_KIND, results.c.name == name)
-            .where(self._access.may_reach(jobs), jobs.c.state != JobState.EXPIRED)
-            .order_by(jobs.c.id.desc())
-            .limit(1)
-        )
+        is_blurred = (results.c.kind == BLURRED_KIND) & (jobs.c.state != JobState.EXPIRED)
+        return self._newest(session_id, name, is_blurred)
+
+    def _newest(self, session_id: str, name: str, condition: ColumnElement[bool]) -> job_records.Result | None:
+        chosen = (jobs.c.session_id == session_id, results.c.name == name, self._access.may_reach(jobs), condition)
+        query = select(results).join(jobs).where(*chosen).order_by(jobs.c.id.desc()).limit(1)
         with self._access.reading() as connection:
             row = connection.execute(query).one_or_none()
-        return None if row is None else read(Result, row)
+        return None if row is None else read(job_records.Result, row)
 
-    def get(self, job_id: str, name: str) -> Result:
+    def get(self, job_id: str, name: str) -> job_records.Result:
         """Result of a job by name; errors like ``all``, and ``NotFound`` if there is none of this name."""
         for result in self.all(job_id):
             if result.name == name:

@@ -7,7 +7,7 @@ from collections.abc import Collection
 from sqlalchemy import ColumnElement, Connection, delete, insert, select, update
 from uuid_utils import uuid7
 
-from worker.store.database.access import Transactions, existing
+from worker.store.database.access import ServiceRepository, existing
 from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.tables import browser_sessions, keys
@@ -20,11 +20,8 @@ _PREFIX = "mc_"
 _SECRET_BYTES = 32
 
 
-class Keys:
+class Keys(ServiceRepository):
     """Keys of all tenants. Secrets are not stored, only their SHA-256."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def add(
         self, tenant: str, name: str, scopes: Collection[Scope], lifetime_s: float | None = None
@@ -111,11 +108,8 @@ def is_valid() -> ColumnElement[bool]:
     return keys.c.revoked_at.is_(None) & (keys.c.expires_at.is_(None) | (keys.c.expires_at > now()))
 
 
-class BrowserSessions:
+class BrowserSessions(ServiceRepository):
     """Browser sessions of all tenants. Secrets are not stored, only their SHA-256."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def open(self, key: Key, lifetime_s: float, request_id: str | None = None) -> str:
         """Open a session for a browser that has shown a key; returns its secret."""

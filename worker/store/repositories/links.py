@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Select, delete, func, insert, or_, select
 from uuid_utils import uuid7
 
-from worker.store.database.access import Repository, Transactions, existing
+from worker.store.database.access import Repository, ServiceRepository, existing
 from worker.store.database.connection import now
 from worker.store.database.rows import read
 from worker.store.database.tables import jobs, keys, links, recordings
@@ -81,11 +81,8 @@ class Links(Repository):
         return existing(connection.scalar(query.select_from(links.outerjoin(keys))), "link")
 
 
-class LinkSecrets:
+class LinkSecrets(ServiceRepository):
     """Secrets of the links of all tenants, for requests that bring one."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def find(self, secret: str) -> Link | None:
         """Link with a secret; ``None`` if it is unknown, has ended, or its key is no longer valid."""
@@ -114,11 +111,8 @@ def _are_valid() -> tuple[ColumnElement[bool], ...]:
     return links.c.expires_at > now(), by_key
 
 
-class JoinSecrets:
+class JoinSecrets(ServiceRepository):
     """Secrets of the links of all recordings, for requests and WebSockets that bring one."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def find(self, secret: str) -> JoinLink | None:
         """Link with a secret; ``None`` if it is unknown or has ended."""

@@ -4,13 +4,14 @@ Each change counts the recording's revision up in its transaction: processes of 
 recordings that are open there.
 """
 
+import contextlib
 import secrets
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
-from sqlalchemy import Connection, Row, Table, delete, func, insert, select, update
+from sqlalchemy import Connection, Row, Select, Table, delete, func, insert, select, update
 from uuid_utils import uuid7
 
 from worker.store.database.access import Repository, existing, newest_first
@@ -44,8 +45,7 @@ class Recordings(Repository):
         """
         recording_id, access = str(uuid7()), self._access
         with access.writing() as connection:
-            is_open = access.may_reach(recordings) & (recordings.c.expires_at > now())
-            num_open = connection.scalar(select(func.count()).select_from(recordings).where(is_open)) or 0
+            num_open = connection.scalar(select(func.count()).select_from(self._select().subquery())) or 0
             if num_open >= MAX_RECORDINGS:
                 raise Conflict(f"There are {MAX_RECORDINGS} recordings already; delete some, or wait until they end.")
             secret, link = self._new_link()
@@ -69,14 +69,13 @@ class Recordings(Repository):
 
     def page(self, limit: int = 50, after: str | None = None) -> list[phone_records.RecordingSession]:
         """Recordings, the newest first; ``after`` is the last id of the page before."""
-        query = select(recordings).where(self._access.may_reach(recordings), recordings.c.expires_at > now())
+        query = newest_first(self._select(), recordings, limit, after)
         with self._access.reading() as connection:
-            return _read_recordings(connection, connection.execute(newest_first(query, recordings, limit, after)))
+            return _read_recordings(connection, connection.execute(query))
 
     def delete(self, recording_id: str) -> None:
         """Delete a recording with the uploads of its phones that no session took; ``NotFound`` if there is none."""
-        with self._access.writing() as connection:
-            row = self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, row):
             forget_answers(connection, row.tenant, recording_id)
             record_event(connection, self._access.actor, row.tenant, AuditAction.RECORDING_DELETED, recording_id)
             _delete(connection, [recording_id])
@@ -91,8 +90,7 @@ class Recordings(Repository):
 
     def renew_link(self, recording_id: str) -> tuple[phone_records.RecordingSession, str]:
         """Make another link and end the one before; returns the recording and the secret, as ``add`` does."""
-        with self._access.writing() as connection:
-            row = self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, row):
             secret, link = self._new_link()
             connection.execute(update(recordings).where(recordings.c.id == recording_id).values(**link))
             record_event(connection, self._access.actor, row.tenant, AuditAction.LINK_CREATED, link["join_id"])
@@ -100,9 +98,7 @@ class Recordings(Repository):
 
     def revisions(self, recording_ids: Collection[str]) -> Mapping[str, int]:
         """Revisions of recordings among some that are there and have not ended."""
-        query = select(recordings.c.id, recordings.c.revision).where(
-            self._access.may_reach(recordings), recordings.c.id.in_(recording_ids), recordings.c.expires_at > now()
-        )
+        query = self._select().where(recordings.c.id.in_(recording_ids))
         with self._access.reading() as connection:
             return {row.id: row.revision for row in connection.execute(query)}
 
@@ -120,8 +116,7 @@ class Recordings(Repository):
 
         Raises ``Conflict`` if another take is being recorded, or there are as many as may be.
         """
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             earlier = self._read(connection, recording_id).takes
             if any(take.state(start_s) is phone_records.TakeState.RECORDING for take in earlier):
                 raise Conflict("A take is being recorded; stop it first.")
@@ -145,8 +140,7 @@ class Recordings(Repository):
 
     def stop_take(self, recording_id: str, stop_s: float) -> phone_records.RecordingSession:
         """Stop the take that is being recorded at a time; ``Conflict`` if there is none."""
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             running = [
                 take
                 for take in self._read(connection, recording_id).takes
@@ -154,25 +148,22 @@ class Recordings(Repository):
             ]
             if not running:
                 raise Conflict("No take is being recorded.")
-            values = {"stop_s": max(stop_s, running[0].start_s), "is_stopped": True}
-            return self._change_take(connection, recording_id, running[0].number, values)
+            take, stop_s = running[0], max(stop_s, running[0].start_s)
+            return self._change(connection, takes, recording_id, take.number, stop_s=stop_s, is_stopped=True)
 
     def want_upload(self, recording_id: str, take: int) -> phone_records.RecordingSession:
         """Ask the phones for their clips of a take; ``Conflict`` if it was discarded."""
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             self._require_take(connection, recording_id, take)
-            return self._change_take(connection, recording_id, take, {"is_upload_wanted": True})
+            return self._change(connection, takes, recording_id, take, is_upload_wanted=True)
 
     def discard_take(self, recording_id: str, take: int) -> phone_records.RecordingSession:
         """Throw a take away with its uploads; a session that was made from it stays."""
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             found = self._require_take(connection, recording_id, take)
             uploaded = [file.upload_id for clip in found.clips for file in clip.files]
             connection.execute(delete(uploads).where(uploads.c.id.in_(uploaded)))
-            values = {"is_discarded": True, "is_stopped": True}
-            return self._change_take(connection, recording_id, take, values)
+            return self._change(connection, takes, recording_id, take, is_discarded=True, is_stopped=True)
 
     def use_take(
         self,
@@ -186,35 +177,32 @@ class Recordings(Repository):
 
         A session may follow a calibration. Raises ``Conflict`` if the take was discarded, or made the same before.
         """
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             found = self._require_take(connection, recording_id, take)
             if found.session_id is not None:
                 raise Conflict("A capture was made from this take already.")
             if calibration_id is not None and found.calibration_id is not None:
                 raise Conflict("A calibration was made from this take already.")
             made = {"session_id": session_id, "job_id": job_id, "calibration_id": calibration_id}
-            values = {"is_stopped": True, **{name: value for name, value in made.items() if value is not None}}
-            return self._change_take(connection, recording_id, take, values)
+            values = {name: value for name, value in made.items() if value is not None}
+            return self._change(connection, takes, recording_id, take, is_stopped=True, **values)
 
     def rename_phone(self, recording_id: str, phone: int, name: str) -> phone_records.RecordingSession:
         """Give a phone another name; ``Conflict`` if another phone has it."""
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             present = self._read(connection, recording_id)
             if present.phone(phone) is None:
                 raise NotFound("The recording has no such phone.")
             if any(other.name == name and other.number != phone for other in present.phones):
                 raise Conflict("Another phone has this name.")
-            return self._change_phone(connection, recording_id, phone, {"name": name})
+            return self._change(connection, phones, recording_id, phone, name=name)
 
     def remove_phone(self, recording_id: str, phone: int) -> phone_records.RecordingSession:
         """Remove a phone for good; its clips stay."""
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             if self._read(connection, recording_id).phone(phone) is None:
                 raise NotFound("The recording has no such phone.")
-            return self._change_phone(connection, recording_id, phone, {"removed_at": now()})
+            return self._change(connection, phones, recording_id, phone, removed_at=now())
 
     # Changes by phones.
 
@@ -227,8 +215,7 @@ class Recordings(Repository):
         another phone has it, a number is added. Raises ``PhoneRemoved``. Raises ``Conflict``: there are as many phones
         as may be.
         """
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             known = select(phones).where(phones.c.recording_id == recording_id, phones.c.sha256 == digest(phone_id))
             if (row := connection.execute(known).one_or_none()) is not None:
                 if row.removed_at is not None:
@@ -262,17 +249,13 @@ class Recordings(Repository):
             raise NotFound("The recording has no such phone.")
         return number
 
-    def clip_started(
-        self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]
+    def report_clip(
+        self, recording_id: str, take: int, phone: int, event: Literal["started", "stopped"], facts: Mapping[str, Any]
     ) -> phone_records.RecordingSession:
-        """Record what a phone says when it has begun to record a take."""
-        return self._change_clip(recording_id, take, phone, {"started": dict(facts)})
-
-    def clip_stopped(
-        self, recording_id: str, take: int, phone: int, facts: Mapping[str, Any]
-    ) -> phone_records.RecordingSession:
-        """Record what a phone says when it has ended a take."""
-        return self._change_clip(recording_id, take, phone, {"stopped": dict(facts)})
+        """Record what a phone says when it has begun or ended to record a take."""
+        with self._locked(recording_id) as (connection, _):
+            self._require_take(connection, recording_id, take)
+            return self._write_clip(connection, recording_id, take, phone, {event: dict(facts)})
 
     def add_file(
         self, recording_id: str, take: int, phone: int, file: phone_records.ClipFile
@@ -282,8 +265,7 @@ class Recordings(Repository):
         Raises ``NotFound`` if the upload is not the phone's, ``Conflict`` if the clip has ``MAX_PARTS`` already.
         """
         is_own = (uploads.c.id == file.upload_id, uploads.c.recording_id == recording_id, uploads.c.phone == phone)
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
+        with self._locked(recording_id) as (connection, _):
             found = self._require_take(connection, recording_id, take, unused=True)
             if connection.execute(select(uploads.c.id).where(*is_own)).one_or_none() is None:
                 raise NotFound("The phone has no such upload.")
@@ -299,15 +281,19 @@ class Recordings(Repository):
         values = {"join_id": str(uuid7()), "join_sha256": digest(secret), "join_key_id": self._access.actor.key_id}
         return secret, values
 
-    def _lock(self, connection: Connection, recording_id: str) -> Row[Any]:
-        mine = self._access.may_reach(recordings)
-        query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
-        return existing(connection.execute(query.with_for_update()).one_or_none(), _RECORDING)
+    @contextlib.contextmanager
+    def _locked(self, recording_id: str) -> Iterator[tuple[Connection, Row[Any]]]:
+        """Transaction that changes a recording, and the recording's row, which is locked."""
+        with self._access.writing() as connection:
+            query = self._select().where(recordings.c.id == recording_id).with_for_update()
+            yield connection, existing(connection.execute(query).one_or_none(), _RECORDING)
+
+    def _select(self) -> Select[Any]:
+        return select(recordings).where(self._access.may_reach(recordings), recordings.c.expires_at > now())
 
     def _read(self, connection: Connection, recording_id: str) -> phone_records.RecordingSession:
-        mine = self._access.may_reach(recordings)
-        query = select(recordings).where(recordings.c.id == recording_id, mine, recordings.c.expires_at > now())
-        return existing(next(iter(_read_recordings(connection, connection.execute(query))), None), _RECORDING)
+        rows = connection.execute(self._select().where(recordings.c.id == recording_id))
+        return existing(next(iter(_read_recordings(connection, rows)), None), _RECORDING)
 
     def _changed(self, connection: Connection, recording_id: str) -> phone_records.RecordingSession:
         chosen = update(recordings).where(recordings.c.id == recording_id)
@@ -326,27 +312,13 @@ class Recordings(Repository):
             raise Conflict("The clips of this take are in a capture already.")
         return take
 
-    def _change_take(
-        self, connection: Connection, recording_id: str, number: int, values: Mapping[str, Any]
+    def _change(
+        self, connection: Connection, table: Table, recording_id: str, number: int, **values: Any
     ) -> phone_records.RecordingSession:
-        chosen = update(takes).where(takes.c.recording_id == recording_id, takes.c.number == number)
+        """Change the phone or the take with a number."""
+        chosen = update(table).where(table.c.recording_id == recording_id, table.c.number == number)
         connection.execute(chosen.values(**values))
         return self._changed(connection, recording_id)
-
-    def _change_phone(
-        self, connection: Connection, recording_id: str, number: int, values: Mapping[str, Any]
-    ) -> phone_records.RecordingSession:
-        chosen = update(phones).where(phones.c.recording_id == recording_id, phones.c.number == number)
-        connection.execute(chosen.values(**values))
-        return self._changed(connection, recording_id)
-
-    def _change_clip(
-        self, recording_id: str, take: int, phone: int, values: Mapping[str, Any]
-    ) -> phone_records.RecordingSession:
-        with self._access.writing() as connection:
-            self._lock(connection, recording_id)
-            self._require_take(connection, recording_id, take)
-            return self._write_clip(connection, recording_id, take, phone, values)
 
     def _write_clip(
         self, connection: Connection, recording_id: str, take: int, phone: int, values: Mapping[str, Any]
@@ -383,22 +355,22 @@ def _read_recordings(connection: Connection, rows: Iterable[Row[Any]]) -> list[p
     phones_by_id, takes_by_id = _rows_by_recording(connection, phones, ids), _rows_by_recording(connection, takes, ids)
     clips_by_take: defaultdict[tuple[str, int], list[phone_records.TakeClip]] = defaultdict(list)
     for row in connection.execute(select(clips).where(clips.c.recording_id.in_(ids)).order_by(clips.c.phone)):
-        clip = read(phone_records.TakeClip, row)
-        clips_by_take[row.recording_id, row.take].append(clip)
-    recordings_read = []
-    for row in found:
-        own_phones = (
-            read(phone_records.RecordingPhone, phone, is_removed=bool(phone.removed_at))
-            for phone in phones_by_id[row.id]
+        clips_by_take[row.recording_id, row.take].append(read(phone_records.TakeClip, row))
+    return [
+        read(
+            phone_records.RecordingSession,
+            row,
+            phones=tuple(
+                read(phone_records.RecordingPhone, phone, is_removed=bool(phone.removed_at))
+                for phone in phones_by_id[row.id]
+            ),
+            takes=tuple(
+                read(phone_records.RecordingTake, take, clips=tuple(clips_by_take[row.id, take.number]))
+                for take in takes_by_id[row.id]
+            ),
         )
-        own_takes = (
-            read(phone_records.RecordingTake, take, clips=tuple(clips_by_take[row.id, take.number]))
-            for take in takes_by_id[row.id]
-        )
-        recordings_read.append(
-            read(phone_records.RecordingSession, row, phones=tuple(own_phones), takes=tuple(own_takes))
-        )
-    return recordings_read
+        for row in found
+    ]
 
 
 def _rows_by_recording(connection: Connection, table: Table, ids: Collection[str]) -> Mapping[str, list[Row[Any]]]:

@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, case, delete, false, func, insert, select, update
-from uuid_utils import uuid7
 
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.options.config import DEFAULT_CHUNK_FRAMES
@@ -17,7 +16,7 @@ from pipeline.core.options.job_choices import BLURRED_KIND
 from worker.store.database.access import Access, Repository, existing, newest_first
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import is_in_state, read_edits, read_session
-from worker.store.database.stored_files import forget_answers, keep, remove_later, remove_unless_kept
+from worker.store.database.stored_files import StoringRepository, forget_answers, keep, remove_later
 from worker.store.database.tables import BLURS_FACES, edits, found_people, jobs, results, sessions
 from worker.store.errors import Conflict, EditedMeanwhile, NotFound
 from worker.store.files.file_keys import job_prefix, session_prefix, thumbnails_prefix
@@ -31,18 +30,10 @@ from worker.store.repositories.uploads import awaited_uploads
 _NO_METADATA: Mapping[str, Any] = MappingProxyType({})
 
 
-class Sessions(Repository):
+class Sessions(StoringRepository):
     """Sessions of a tenant, or of all tenants."""
 
-    def reserve_id(self) -> str:
-        """Make the id of a session whose files are about to be stored.
-
-        The files are removed after a day unless ``add`` is called with the id.
-        """
-        session_id = str(uuid7())
-        with self._access.writing() as connection:
-            remove_unless_kept(connection, session_prefix(session_id))
-        return session_id
+    _prefix = staticmethod(session_prefix)
 
     def add(
         self,

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from sqlalchemy import Connection, case, delete, func, insert, literal, or_, select, type_coerce, update
 from uuid_utils import uuid7
 
-from worker.store.database.access import Transactions
+from worker.store.database.access import ServiceRepository
 from worker.store.database.connection import now
 from worker.store.database.rows import read, read_jobs, select_jobs
 from worker.store.database.tables import UtcTimestamp, deliveries, jobs, webhook_secrets
@@ -62,11 +62,8 @@ def queue_delivery(connection: Connection, job_id: str, *, of_files: bool) -> No
     )
 
 
-class Webhooks:
+class Webhooks(ServiceRepository):
     """Messages to be delivered, of all tenants."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def claim(
         self, limit: int, lease_s: float, limit_a_tenant: int | None = None, busy: Mapping[str, int] = _NONE_BUSY
@@ -120,11 +117,8 @@ class Webhooks:
         return True
 
 
-class WebhookSecrets:
+class WebhookSecrets(ServiceRepository):
     """Webhook secrets of all tenants."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def rotate(self, tenant: str, keep_old_s: float) -> str:
         """Make the secret that signs a tenant's messages; an earlier one signs too, for ``keep_old_s``."""

@@ -11,7 +11,7 @@ from api.web.settings import Settings
 from pipeline.core.options.edits import PersonSpan
 from tests.api.conftest import Live, form, problem_of, running
 from tests.pipeline.export.character.characters import bones_of, character
-from worker.store.files.unneeded import remove_files
+from worker.store.repositories.work.expiry import remove_files
 
 ROBOT = character(bones_of("mixamo"))
 

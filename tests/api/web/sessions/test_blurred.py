@@ -7,8 +7,8 @@ import pytest
 from pipeline.core.options.job_choices import BLURRED_KIND, PROXY_KIND, blurred_name
 from tests.api.conftest import Live, form, problem_of
 from worker.store.files.file_keys import result_key
-from worker.store.files.unneeded import remove_files
 from worker.store.model.job_records import Result
+from worker.store.repositories.work.expiry import remove_files
 
 SENT, BLURRED = b"sent" * 100, b"blurred" * 100
 BLUR = {"blur_faces": True}

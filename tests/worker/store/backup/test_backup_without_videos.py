@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from tests.worker.store.backups import opened_data, restored
-from worker.store.files.unneeded import remove_files
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import JobSpec
 
 

@@ -51,12 +51,14 @@ def room(data: Data) -> FilmedRoom:
     settings = {"width": 1280, "height": 720, "frame_rate_hz": 30.0}
     for number in (1, 2, 3):
         recordings.start_take(recording.id, None, settings, START_S + 100 * number, LIMITS)
-        recordings.clip_started(recording.id, number, 1, {"first_frame_s": START_S + 100 * number, "std_s": 0.004})
+        recordings.report_clip(
+            recording.id, number, 1, "started", {"first_frame_s": START_S + 100 * number, "std_s": 0.004}
+        )
         if number < 3:
             recordings.stop_take(recording.id, START_S + 100 * number + 10)
     recordings.use_take(recording.id, 1, session_id=data.add_session())
     recordings.want_upload(recording.id, 2)
-    recordings.clip_stopped(recording.id, 2, 1, {"num_frames": 300})
+    recordings.report_clip(recording.id, 2, 1, "stopped", {"num_frames": 300})
     whole = add_upload(data, recording.id, 1, b"whole", 5)
     half = add_upload(data, recording.id, 2, b"ha", 4)
     facts = {"mime_type": "video/webm", "lost": [{"from_s": START_S + 201, "to_s": START_S + 202}]}

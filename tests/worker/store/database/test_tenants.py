@@ -87,8 +87,7 @@ def test_records_every_method_is_tried() -> None:
         if not name.startswith("_")
     }
     assert public - set(ACTS) == {
-        *("sessions.add", "sessions.reserve_id", "sessions.page", "jobs.page", "jobs.changes"),
-        *("jobs.reserve_id", "jobs.reserve_copy"),
+        *("sessions.add", "sessions.page", "jobs.page", "jobs.changes", "jobs.reserve_copy"),
         "edits.people",  # None of another's: tests/api/web/test_edits.py
         *("visuals.due", "sessions.with_superfluous_videos"),  # the reaper asks for those of all tenants
         "results.proxy",  # None of another's: tests/worker/store/repositories/test_captures.py

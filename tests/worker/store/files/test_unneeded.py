@@ -6,7 +6,7 @@ import uuid
 from tests.worker.store.conftest import StoreBench
 from worker.store.files.artifacts import ArtifactStore
 from worker.store.files.file_keys import record_key, result_key
-from worker.store.files.unneeded import orphaned_prefixes, remove_files
+from worker.store.repositories.work.expiry import orphaned_prefixes, remove_files
 
 
 def id_of(hours_ago: float) -> str:

@@ -30,7 +30,7 @@ def test_action_is_recorded_with_actor(jobs: StoreBench) -> None:
         ("job-deleted", job_id),
         ("session-deleted", session_id),
     ]
-    assert {(event.tenant, event.actor) for event in events} == {("mine", ACTOR)}
+    assert {(event.tenant, Actor(event.key_id, event.request_id)) for event in events} == {("mine", ACTOR)}
     assert [event.done_at for event in events] == sorted((event.done_at for event in events), reverse=True)
 
 
@@ -58,7 +58,7 @@ def test_keys_are_noted_too(jobs: StoreBench) -> None:
     jobs.store.keys.revoke(key.id)
     jobs.store.keys.revoke(key.id)
     events = jobs.store.audit.events("studio")
-    assert [(event.act, event.subject, event.actor) for event in events] == [
+    assert [(event.act, event.subject, Actor(event.key_id, event.request_id)) for event in events] == [
         ("key-revoked", key.id, Actor()),
         ("browser-let-in", key.id, Actor(key.id, "request")),
         ("key-created", key.id, Actor()),

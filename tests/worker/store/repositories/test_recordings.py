@@ -87,9 +87,9 @@ def test_recording_change_increases_revision(jobs: StoreBench) -> None:
     revisions = [
         found.get(recording_id).revision,
         found.start_take(recording_id, None, {}, 1000.0, LIMITS).revision,
-        found.clip_started(recording_id, 1, 1, {"std_s": 0.1}).revision,
+        found.report_clip(recording_id, 1, 1, "started", {"std_s": 0.1}).revision,
         found.stop_take(recording_id, 1010.0).revision,
-        found.clip_stopped(recording_id, 1, 1, {"num_frames": 9}).revision,
+        found.report_clip(recording_id, 1, 1, "stopped", {"num_frames": 9}).revision,
         found.want_upload(recording_id, 1).revision,
         found.add_file(recording_id, 1, 1, file_of("upload")).revision,
         found.rename_phone(recording_id, 1, "Door").revision,
@@ -183,8 +183,7 @@ ACTS = {
     "rename_phone": lambda found, recording_id: found.rename_phone(recording_id, 1, "Other"),
     "remove_phone": lambda found, recording_id: found.remove_phone(recording_id, 1),
     "join": lambda found, recording_id: found.join(recording_id, "a stranger's phone id", None, "x", LIMITS),
-    "clip_started": lambda found, recording_id: found.clip_started(recording_id, 1, 1, {}),
-    "clip_stopped": lambda found, recording_id: found.clip_stopped(recording_id, 1, 1, {}),
+    "report_clip": lambda found, recording_id: found.report_clip(recording_id, 1, 1, "started", {}),
     "add_file": lambda found, recording_id: found.add_file(recording_id, 1, 1, file_of("upload")),
 }
 

@@ -4,28 +4,30 @@ A removal is noted in the transaction that makes the files superfluous, and carr
 killed in between loses nothing: the reaper looks for removals that are due.
 """
 
+import time
+import uuid
 from collections.abc import Collection, Sequence
 
+import structlog
 from sqlalchemy import delete, select, union_all
 
-from worker.store.database.access import Transactions
+from worker.store.database.access import ServiceRepository
 from worker.store.database.connection import now
 from worker.store.database.stored_files import remove_later
 from worker.store.database.tables import characters, jobs, removals, sessions
 from worker.store.database.transitions import delete_visuals_job, lock_job, move_job
-from worker.store.files.file_keys import job_prefix
+from worker.store.files.artifacts import ArtifactStore
+from worker.store.files.file_keys import character_prefix, job_prefix, session_prefix
 from worker.store.model.states import JobState
 from worker.store.model.work import Removal
+from worker.store.outages import find_outage
 
 # Ids that one query asks for.
 _MAX_IDS = 500
 
 
-class Removals:
+class Removals(ServiceRepository):
     """Removals of all tenants."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def expire_jobs(self) -> list[str]:
         """Expire the jobs whose retention time is over, and note their results for removal; returns the jobs' ids."""
@@ -70,3 +72,48 @@ class Removals:
         """Delete a removal that was carried out."""
         with self._transactions.writing() as connection:
             connection.execute(delete(removals).where(removals.c.id == removal_id))
+
+
+log = structlog.get_logger()
+
+# Files of a session take less than this to get their row; see ``worker.store.database.stored_files``.
+_ARRIVAL_MS = 24 * 3600 * 1000
+
+
+def remove_files(removals: Removals, artifacts: ArtifactStore) -> None:
+    """Remove the files of all due removals. A removal that fails stays due, and is logged; an outage ends all."""
+    for removal in removals.due():
+        try:
+            if removal.prefix.endswith("/"):
+                artifacts.delete_prefix(removal.prefix)
+            else:
+                artifacts.delete(removal.prefix)
+        except OSError as error:
+            if find_outage(error) is not None:
+                log.warning("removals_wait", outage=find_outage(error))
+                return  # of hundreds of removals, each would wait for the store
+            log.exception("removal_failed", prefix=removal.prefix)
+        else:
+            removals.done(removal.id)
+
+
+def orphaned_prefixes(removals: Removals, artifacts: ArtifactStore) -> list[str]:
+    """Prefixes of files without a row, of records that were made more than a day ago.
+
+    The id of a record, a UUID of version 7, has the record's age. Folders with other names are not the service's.
+    """
+    before_ms = time.time() * 1000 - _ARRIVAL_MS
+    orphans = []
+    for prefix_of in (session_prefix, job_prefix, character_prefix):
+        ids = [name for name in artifacts.names(prefix_of("x").removesuffix("x/")) if _is_older(name, before_ms)]
+        known = removals.known_ids(ids)
+        orphans += [prefix_of(record_id) for record_id in ids if record_id not in known]
+    return orphans
+
+
+def _is_older(name: str, before_ms: float) -> bool:
+    try:
+        record_id = uuid.UUID(name)
+    except ValueError:
+        return False
+    return record_id.version == 7 and record_id.int >> 80 < before_ms

@@ -13,18 +13,18 @@ from pipeline.core.options.edits import PersonSpan
 from pipeline.core.problems.finding_codes import OUTPUT_DAMAGED, TIME_LIMIT, WORKER_LOST
 from pipeline.core.records import from_json
 from worker.store.database import transitions
-from worker.store.database.access import Transactions
+from worker.store.database.access import ServiceRepository
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import read, read_edits, read_making, read_spec
 from worker.store.database.stored_files import list_results
 from worker.store.database.tables import artifacts, chunks, found_people, jobs
 from worker.store.database.totals import Total, count
+from worker.store.database.transitions import note_failure
 from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobProblem, Result
 from worker.store.model.session_records import MadeCalibration
 from worker.store.model.states import AT_WORK, ChunkState, JobState
 from worker.store.model.work import ANY_CHUNK, Ability, Claim, KeptPiece
-from worker.store.repositories.attempts import note_failure
 from worker.store.repositories.calibrations import complete
 from worker.store.repositories.work import next_chunk
 
@@ -34,15 +34,12 @@ MAX_ATTEMPTS = 5
 _MAX_LONG_TRIES = 2
 
 
-class Leases:
+class Leases(ServiceRepository):
     """Leases of chunks, of all tenants.
 
     A claim has a token. A report with another token, or after the lease was taken back, changes nothing and returns
     ``False``. Times come from the clock of the database.
     """
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def claim(self, worker: str, lease_s: float, ability: Ability = ANY_CHUNK) -> Claim | None:
         """Take the next ready chunk; ``None`` if there is none.
@@ -177,18 +174,11 @@ class Leases:
             held = _lock_held(connection, chunk_id, lease_token)
             return held is not None and _try_again(connection, *held, problem)
 
-    def release(self, chunk_id: int, lease_token: str) -> bool:
-        """Give a chunk back unfinished: its job is canceled or its worker stops. Return whether it became ready."""
-        return self._give_back(chunk_id, lease_token, None)
+    def release(self, chunk_id: int, lease_token: str, outage: JobProblem | None = None) -> bool:
+        """Give a chunk back unfinished; it costs no try. Return whether it became ready.
 
-    def give_back(self, chunk_id: int, lease_token: str, problem: JobProblem) -> bool:
-        """Give a chunk back because of an outage: it costs no try, and the job waits for ``problem``.
-
-        Returns whether the chunk became ready.
+        Its job is canceled, or its worker stops, or there is an ``outage``, for which the job waits.
         """
-        return self._give_back(chunk_id, lease_token, problem)
-
-    def _give_back(self, chunk_id: int, lease_token: str, outage: JobProblem | None) -> bool:
         with self._transactions.writing() as connection:
             held = _lock_held(connection, chunk_id, lease_token)
             if held is None:

@@ -11,7 +11,7 @@ from sqlalchemy import Connection, delete, insert, literal, select, true, update
 
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.run.engine.plan import STAGE_BY_NAME, interim_readers
-from worker.store.database.access import Transactions
+from worker.store.database.access import ServiceRepository
 from worker.store.database.tables import artifacts, chunks, jobs, sessions
 from worker.store.database.transitions import lock_job
 from worker.store.errors import VideosDeleted
@@ -22,11 +22,8 @@ from worker.store.repositories.work.workers import codes_at_work
 _ROWS_AT_ONCE = 1000
 
 
-class Plans:
+class Plans(ServiceRepository):
     """Plans of unfinished jobs that were made by another version of the code."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def unclaimable(self) -> list[str]:
         """Ids of unfinished jobs without running chunks whose ready chunks no worker can run."""
@@ -151,11 +148,8 @@ def _is_done(connection: Connection, job_id: str, stage_index: int, stage: Stage
     return [(stage.name, ChunkState.DONE, chunk.output_key) for chunk in stage.chunks] == [tuple(row) for row in rows]
 
 
-class Outputs:
+class Outputs(ServiceRepository):
     """Outputs of all sessions."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def find(self, session_id: str, output_key: str) -> tuple[str, int] | None:
         """SHA-256 and size in bytes of a chunk's output if any job of the session has finished the chunk."""

@@ -5,13 +5,13 @@ Each process renews its own row. A row that was not renewed for a while belongs 
 
 from collections.abc import Collection, Iterable
 from dataclasses import asdict
-from typing import Any
+from typing import Any, Literal
 
 from sqlalchemy import ColumnElement, Connection, Row, and_, case, delete, func, or_, select, update
 
 from pipeline.core.options.providers import CPU
 from pipeline.core.problems.finding_codes import WORKER_LOST
-from worker.store.database.access import Transactions
+from worker.store.database.access import ServiceRepository
 from worker.store.database.connection import now, upsert
 from worker.store.database.rows import read
 from worker.store.database.tables import chunks, failures, jobs, workers
@@ -27,11 +27,8 @@ _FORGOTTEN_AFTER_S = 60.0
 _LISTS = ("detectors", "bodies", "formats", "codes")
 
 
-class Workers:
+class Workers(ServiceRepository):
     """Worker processes of the whole service."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
 
     def report(self, status: WorkerStatus) -> None:
         """Record what a worker process does now; the row is valid for ``SILENT_AFTER_S``."""
@@ -81,23 +78,11 @@ def codes_at_work(connection: Connection) -> frozenset[str]:
     return frozenset(code for codes in connection.scalars(ready) for code in codes)
 
 
-def installed_detectors(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
-    """Detectors that every ready worker has, for any of them may take a chunk; ``None`` if no worker is ready."""
-    return _of_all_ready((worker.state, worker.detectors) for worker in found)
-
-
-def installed_bodies(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
-    """Bodies of people that every ready worker has installed; ``None`` if no worker is ready."""
-    return _of_all_ready((worker.state, worker.bodies) for worker in found)
-
-
-def writable_formats(found: Iterable[WorkerStatus]) -> frozenset[str] | None:
-    """Formats of people's files that every ready worker can write; ``None`` if no worker is ready."""
-    return _of_all_ready((worker.state, worker.formats) for worker in found)
-
-
-def _of_all_ready(found: Iterable[tuple[WorkerState, tuple[str, ...]]]) -> frozenset[str] | None:
-    ready = [frozenset(names) for state, names in found if state is WorkerState.READY]
+def shared_by_ready(
+    found: Iterable[WorkerStatus], kind: Literal["detectors", "bodies", "formats"]
+) -> frozenset[str] | None:
+    """Names that every ready worker lists, for any of them may take a chunk; ``None`` if no worker is ready."""
+    ready = [frozenset[str](getattr(worker, kind)) for worker in found if worker.state is WorkerState.READY]
     return frozenset.intersection(*ready) if ready else None
 
 
@@ -111,11 +96,8 @@ def _is_alive() -> ColumnElement[bool]:
     return workers.c.seen_at.between(now() - SILENT_AFTER_S, now() + SILENT_AFTER_S)
 
 
-class Waits:
-    """Waiting work, of all tenants. A chunk that is given back to wait is a matter of ``Leases.give_back``."""
-
-    def __init__(self, transactions: Transactions) -> None:
-        self._transactions = transactions
+class Waits(ServiceRepository):
+    """Waiting work, of all tenants. A chunk that is given back to wait is a matter of ``Leases.release``."""
 
     def begin_broker_outage(self, problem: JobProblem) -> None:
         """Let jobs with ready chunks wait for the broker, unless they wait for something already."""

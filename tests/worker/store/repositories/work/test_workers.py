@@ -6,12 +6,7 @@ from tests.worker.store.conftest import StoreBench
 from worker.store.database.tables import workers
 from worker.store.errors import UnknownSchema
 from worker.store.model.work import WorkerState, WorkerStatus
-from worker.store.repositories.work.workers import (
-    installed_bodies,
-    installed_detectors,
-    provider_at_work,
-    writable_formats,
-)
+from worker.store.repositories.work.workers import provider_at_work, shared_by_ready
 
 STARTING = WorkerStatus("host:1", WorkerState.STARTING, "A worker compiles", 3, 75)
 READY = WorkerStatus(
@@ -53,29 +48,29 @@ def test_worker_silent_is_gone_also_after_clock_set_back(jobs: StoreBench, secon
 
 
 def test_worker_starting_knows_no_detectors(jobs: StoreBench) -> None:
-    assert installed_detectors([]) is None
-    assert installed_detectors([STARTING]) is None
-    assert installed_detectors([STARTING, READY]) == frozenset({"movenet-multipose", "other"})
+    assert shared_by_ready([], "detectors") is None
+    assert shared_by_ready([STARTING], "detectors") is None
+    assert shared_by_ready([STARTING, READY], "detectors") == frozenset({"movenet-multipose", "other"})
 
 
 def test_detector_is_installed_if_every_worker_has_it() -> None:
     # Any of them may take a chunk.
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("movenet-multipose",))
-    assert installed_detectors([READY, other]) == frozenset({"movenet-multipose"})
+    assert shared_by_ready([READY, other], "detectors") == frozenset({"movenet-multipose"})
 
 
 def test_body_is_installed_if_every_worker_has_it() -> None:
-    assert installed_bodies([STARTING]) is None
-    assert installed_bodies([STARTING, READY]) == frozenset({"human"})
+    assert shared_by_ready([STARTING], "bodies") is None
+    assert shared_by_ready([STARTING, READY], "bodies") == frozenset({"human"})
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", detectors=("other",))
-    assert installed_bodies([READY, other]) == frozenset()
+    assert shared_by_ready([READY, other], "bodies") == frozenset()
 
 
 def test_format_is_written_if_every_worker_can() -> None:
-    assert writable_formats([STARTING]) is None
-    assert writable_formats([STARTING, READY]) == frozenset({"bvh", "usd"})
+    assert shared_by_ready([STARTING], "formats") is None
+    assert shared_by_ready([STARTING, READY], "formats") == frozenset({"bvh", "usd"})
     other = WorkerStatus("elsewhere:1", WorkerState.READY, "A worker works", formats=("bvh",))
-    assert writable_formats([READY, other]) == frozenset({"bvh"})
+    assert shared_by_ready([READY, other], "formats") == frozenset({"bvh"})
 
 
 def test_worker_refuses_newer_database(jobs: StoreBench) -> None:
