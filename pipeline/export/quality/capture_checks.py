@@ -4,8 +4,9 @@ Usual causes of a failed check are too few cameras, cameras with other fields of
 set-up, with which no two cameras agree on a person.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -18,11 +19,11 @@ from pipeline.core.data.people import PersonLoss
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.findings import Finding, SessionCheck
 from pipeline.core.problems import finding_codes
-from pipeline.core.problems.code_group import Code
 from pipeline.export.quality.world_checks import failed_check, first_names
 from pipeline.motion.skeleton.landmarks import MAX_ASYMMETRY, Landmarks, located_limbs_m
 from pipeline.motion.skeleton.model import INDEX
 
+_Failed = dict[str, Any]
 _NAMES = {"ForeArm": "upper arm", "Hand": "forearm", "Leg": "thigh", "Foot": "shin"}
 
 
@@ -115,38 +116,25 @@ def capture_checks(
         _check_refinement(reconstruction.refinement),
         _check_synchronization(reconstruction.synchronization),
     )
-    measured: Mapping[str, Callable[[], dict[str, Any]]] = {
-        finding_codes.NOBODY_FOUND: lambda: _why_nobody(reconstruction.check),
-        finding_codes.CAMERA_WITHOUT_PEOPLE: lambda: {"cameras": unused},
-        finding_codes.PERSON_NEVER_MOVES: lambda: _measured_still(reconstruction, likenesses),
-        finding_codes.MIRROR_IMAGE: lambda: _measured_images(reconstruction, likenesses),
-        finding_codes.PERSON_LOST: lambda: _measured_losses(reconstruction, "vanished"),
-        finding_codes.PHANTOM_ENDED: lambda: _measured_losses(reconstruction, "phantom"),
-        finding_codes.LIMB_MISMEASURED: lambda: {"limbs": [limb.document for limb in limbs]},
-    }
-    return [
-        failed_check(code, message, measured[code]() if code in measured else None)
-        for check in checks
-        for code, message in check
-    ]
+    return [*chain.from_iterable(checks)]
 
 
-def _check_rig(names: list[str]) -> Iterator[tuple[Code, str]]:
+def _check_rig(names: list[str]) -> Iterator[_Failed]:
     if 0 < len(names) < _MIN_VIEWS:
-        yield (
+        yield failed_check(
             finding_codes.TOO_FEW_CAMERAS,
             f"The capture has {len(names)} cameras. With fewer than {_MIN_VIEWS}, errors can't be detected.",
         )
 
 
-def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[tuple[Code, str]]:
+def _check_doubled(videos: Sequence[DamagedVideo]) -> Iterator[_Failed]:
     described = [
         f"{video.file} ({len(video.doubled_s)} of {video.num_frames} frames, {_times(video.doubled_s)})"
         for video in videos
         if len(video.doubled_s) > max(1, _MAX_DOUBLED * video.num_frames)
     ]
     if described:
-        yield (
+        yield failed_check(
             finding_codes.FRAMES_DOUBLED,
             f"Frames show the picture before once more in {first_names(described)}. People lag behind by a frame "
             "there; record with a camera that keeps its rate, or export without a constant rate.",
@@ -160,7 +148,7 @@ def _times(time_s: Sequence[float]) -> str:
     )
 
 
-def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[Code, str]]:
+def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[_Failed]:
     damaged = [video for video in videos if video.num_damaged]
     if not damaged:
         return
@@ -170,18 +158,18 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[tuple[Code, str]]:
         for video in damaged
     ]
     subject = "A video is" if len(damaged) == 1 else f"{len(damaged)} videos are"
-    yield (
+    yield failed_check(
         finding_codes.DAMAGED_VIDEO,
         f"{subject} damaged: {first_names(described)}. People may be wrong or missing there, and up to the video's "
         "next keyframe.",
     )
 
 
-def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[tuple[Code, str]]:
+def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[_Failed]:
     if seen or take.own.objects:
         return
     if take.is_emptied:
-        yield (
+        yield failed_check(
             finding_codes.EVERYBODY_REMOVED,
             "The edits removed all people. Undo an edit to restore them.",
         )
@@ -198,7 +186,10 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
         people = first_names([f"{count} in {camera}" for camera, count in check.people.items()])
         detected = f"People were detected ({people}, at {check.num_instants} instants)"
         reason = f"{detected}, but not matched across cameras. {reason}"
-    yield finding_codes.NOBODY_FOUND, f"No person was found. {reason}"
+    not_matched = "not_matched" if any(check.people.values()) else "unknown"
+    measured = {"people": dict(check.people), "num_instants": check.num_instants}
+    why = {"reason": errors[0].code if errors else not_matched, **measured}
+    yield failed_check(finding_codes.NOBODY_FOUND, f"No person was found. {reason}", why)
 
 
 def _reasons(check: SessionCheck) -> Iterator[Finding]:
@@ -206,54 +197,42 @@ def _reasons(check: SessionCheck) -> Iterator[Finding]:
     return (finding for finding in check.findings if finding.severity == "error" or finding.code in _OF_NOBODY)
 
 
-def _why_nobody(check: SessionCheck) -> dict[str, Any]:
-    """Reason why no person was found, and the people who were detected at some instants."""
-    errors = [finding.code for finding in _reasons(check)]
-    not_matched = "not_matched" if any(check.people.values()) else "unknown"
-    return {
-        "reason": errors[0] if errors else not_matched,
-        "people": dict(check.people),
-        "num_instants": check.num_instants,
-    }
-
-
-def _check_cameras(unused: Sequence[str]) -> Iterator[tuple[Code, str]]:
+def _check_cameras(unused: Sequence[str]) -> Iterator[_Failed]:
+    message = (
+        f"No person was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or timing "
+        "may be wrong."
+    )
     if len(unused) == 1:
-        yield (
-            finding_codes.CAMERA_WITHOUT_PEOPLE,
-            f"No person was matched in {unused[0]}: its video, calibration or timing may be wrong.",
-        )
-    elif unused:
-        yield (
-            finding_codes.CAMERA_WITHOUT_PEOPLE,
-            f"No person was matched in {len(unused)} cameras: {first_names(unused)}. Their videos, calibrations or "
-            "timing may be wrong.",
-        )
+        message = f"No person was matched in {unused[0]}: its video, calibration or timing may be wrong."
+    if unused:
+        yield failed_check(finding_codes.CAMERA_WITHOUT_PEOPLE, message, {"cameras": unused})
 
 
-def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[tuple[Code, str]]:
+def _check_views(names: list[str], seen: Mapping[int, np.ndarray]) -> Iterator[_Failed]:
     if len(names) < _MIN_VIEWS:
         return
     people = [f"person-{track_id}" for track_id, frames in seen.items() if _has_few_views(frames)]
     if len(people) == 1:
-        yield finding_codes.FEW_VIEWS, f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
+        yield failed_check(
+            finding_codes.FEW_VIEWS, f"{people[0]} was seen by fewer than {_MIN_VIEWS} cameras in most frames."
+        )
     elif people:
-        yield (
+        yield failed_check(
             finding_codes.FEW_VIEWS,
             f"{len(people)} people were seen by fewer than {_MIN_VIEWS} cameras in most frames: {first_names(people)}.",
         )
 
 
-def _check_association(reconstruction: Reconstruction) -> Iterator[tuple[Code, str]]:
+def _check_association(reconstruction: Reconstruction) -> Iterator[_Failed]:
     if reconstruction.num_approximate_frames:
-        yield (
+        yield failed_check(
             finding_codes.APPROXIMATE_ASSOCIATION,
             f"In {reconstruction.num_approximate_frames} of {reconstruction.timebase.num_frames} frames there were too "
             "many people for an exact matching: a simpler rule matched them.",
         )
 
 
-def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[Code, str]]:
+def _check_identity(reconstruction: Reconstruction) -> Iterator[_Failed]:
     doubtful = [
         (track.track_id, min(of_person, key=lambda doubt: doubt.confidence))
         for track, of_person in zip(reconstruction.tracks, reconstruction.doubts, strict=False)
@@ -261,27 +240,29 @@ def _check_identity(reconstruction: Reconstruction) -> Iterator[tuple[Code, str]
     ]
     if doubtful:
         described = [f"person-{track_id} (frame {doubt.frame})" for track_id, doubt in doubtful]
-        yield (
+        yield failed_check(
             finding_codes.UNCERTAIN_IDENTITY,
             f"Some people may be confused: {first_names(described)}. Look at these moments; `identity.doubts` in "
             "metrics.json lists all of them.",
         )
 
 
-def _check_losses(take: Reconstruction) -> Iterator[tuple[Code, str]]:
+def _check_losses(take: Reconstruction) -> Iterator[_Failed]:
     vanished = [_describe_loss(loss) for loss in take.losses if loss.kind == "vanished"]
     if vanished:
         subject = "A person vanishes" if len(vanished) == 1 else "People vanish"
-        yield (
+        yield failed_check(
             finding_codes.PERSON_LOST,
             f"{subject} in the middle of the room, where cameras view the place: {first_names(vanished)}. The person "
             "is hidden there, or was not detected or not matched.",
+            _measured_losses(take, "vanished"),
         )
     phantoms = [_describe_loss(loss) for loss in take.losses if loss.kind == "phantom"]
     if phantoms:
-        yield (
+        yield failed_check(
             finding_codes.PHANTOM_ENDED,
             f"A track was made of other people's limbs, and these frames were taken from it: {first_names(phantoms)}.",
+            _measured_losses(take, "phantom"),
         )
 
 
@@ -292,34 +273,36 @@ def _describe_loss(loss: PersonLoss) -> str:
 
 
 def _measured_losses(take: Reconstruction, kind: str) -> dict[str, Any]:
-    people = [
-        {
-            "person": loss.track_id or None,
-            "start_frame": loss.start_frame,
-            "num_frames": loss.stop_frame - loss.start_frame,
-            "place_m": list(loss.place_m),
-        }
-        for loss in take.losses
-        if loss.kind == kind
-    ]
-    return {"people": people}
+    return {
+        "people": [
+            {
+                "person": loss.track_id or None,
+                "start_frame": loss.start_frame,
+                "num_frames": loss.stop_frame - loss.start_frame,
+                "place_m": list(loss.place_m),
+            }
+            for loss in take.losses
+            if loss.kind == kind
+        ]
+    }
 
 
-def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[tuple[Code, str]]:
+def _check_limbs(limbs: Sequence[MismeasuredLimb]) -> Iterator[_Failed]:
     if limbs:
         described = [
             f"{limb.name} of person-{limb.track_id} ({1000 * limb.located_m:.0f} mm, used are "
             f"{1000 * limb.length_m:.0f} mm)"
             for limb in limbs
         ]
-        yield (
+        yield failed_check(
             finding_codes.LIMB_MISMEASURED,
             f"A limb was located with a wrong length in most frames: {first_names(described)}. The length in "
             "use comes from other frames and the body's proportions. The limb may be hidden.",
+            {"limbs": [limb.document for limb in limbs]},
         )
 
 
-def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[Code, str]]:
+def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[_Failed]:
     people = [
         f"person-{take.tracks[person.number].track_id} (by {100 * person.moved_m:.1f} cm at most in "
         f"{person.num_frames} frames)"
@@ -327,14 +310,24 @@ def _check_still(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple
     ]
     if people:
         subject = "A person never moves" if len(people) == 1 else f"{len(people)} people never move"
-        yield (
+        yield failed_check(
             finding_codes.PERSON_NEVER_MOVES,
             f"{subject}: {first_names(people)}. It may be a picture, a mannequin or a "
             "sleeping person. The floor and the refined calibration ignore it, and a limit of people drops it first.",
+            {
+                "people": [
+                    {
+                        "person": take.tracks[person.number].track_id,
+                        "moved_m": round(person.moved_m, 4),
+                        "num_frames": person.num_frames,
+                    }
+                    for person in likenesses.still
+                ]
+            },
         )
 
 
-def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tuple[Code, str]]:
+def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[_Failed]:
     images = [
         f"person-{take.tracks[image.number].track_id} mirrors person-{take.tracks[image.original].track_id} to "
         f"{100 * image.error_m:.1f} cm in {image.num_frames} frames, in the plane {_plane(image)}"
@@ -342,10 +335,23 @@ def _check_images(take: Reconstruction, likenesses: Likenesses) -> Iterator[tupl
     ]
     if images:
         subject = "A person is the mirror image of another one" if len(images) == 1 else "People are mirror images"
-        yield (
+        yield failed_check(
             finding_codes.MIRROR_IMAGE,
             f"{subject}: {first_names(images)}. The floor and the refined calibration ignore images, "
             "and a limit of people drops them first.",
+            {
+                "people": [
+                    {
+                        "person": take.tracks[image.number].track_id,
+                        "mirrors": take.tracks[image.original].track_id,
+                        "normal": [round(float(value), 4) + 0.0 for value in image.normal],
+                        "offset_m": round(image.offset_m, 4),
+                        "error_m": round(image.error_m, 4),
+                        "num_frames": image.num_frames,
+                    }
+                    for image in likenesses.images
+                ]
+            },
         )
 
 
@@ -355,34 +361,7 @@ def _plane(image: MirrorImage) -> str:
     return f"{x:.2f} x {y:+.2f} y {z:+.2f} z = {image.offset_m:.2f} m"
 
 
-def _measured_still(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
-    people = [
-        {
-            "person": take.tracks[person.number].track_id,
-            "moved_m": round(person.moved_m, 4),
-            "num_frames": person.num_frames,
-        }
-        for person in likenesses.still
-    ]
-    return {"people": people}
-
-
-def _measured_images(take: Reconstruction, likenesses: Likenesses) -> dict[str, Any]:
-    people = [
-        {
-            "person": take.tracks[image.number].track_id,
-            "mirrors": take.tracks[image.original].track_id,
-            "normal": [round(float(value), 4) + 0.0 for value in image.normal],
-            "offset_m": round(image.offset_m, 4),
-            "error_m": round(image.error_m, 4),
-            "num_frames": image.num_frames,
-        }
-        for image in likenesses.images
-    ]
-    return {"people": people}
-
-
-def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[Code, str]]:
+def _check_refinement(refinement: Refinement | None) -> Iterator[_Failed]:
     if refinement is None:
         return
     errors = f"{refinement.error_before_px:.1f} px", f"{refinement.error_after_px:.1f} px"
@@ -392,18 +371,18 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[Code, str
             f"{100 * move.translation_m:.1f} cm)"
             for move in refinement.moved
         ]
-        yield (
+        yield failed_check(
             finding_codes.CALIBRATION_REFINED,
             f"The calibration did not fit the people: {errors[0]}. It was refined to {errors[1]}. Cameras moved, the "
             f"largest move first: {first_names(moves)}. Use calibration.json for takes of the same cameras.",
         )
     else:
-        yield (
+        yield failed_check(
             finding_codes.CALIBRATION_KEPT,
             f"The calibration was not refined, and is used as given. {_why_kept(refinement, *errors)}",
         )
     if refinement.world is not None:
-        yield (
+        yield failed_check(
             finding_codes.WORLD_LEVELED,
             f"The floor was tilted by {refinement.world.tilt_deg:.1f} degrees and at a height of "
             f"{refinement.world.height_m:.2f} m. The world was levelled: feet stand at z = 0. Use calibration.json for "
@@ -414,7 +393,7 @@ def _check_refinement(refinement: Refinement | None) -> Iterator[tuple[Code, str
             f"{bump.camera} from {_minutes(bump.time_s)} on ({bump.rotation_deg:.1f} degrees)"
             for bump in refinement.bumped
         ]
-        yield (
+        yield failed_check(
             finding_codes.CAMERA_BUMPED,
             f"A camera was moved during the take: {first_names(bumps)}. Reconstruct the frames before and after it on "
             "their own.",
@@ -437,10 +416,10 @@ def _why_kept(refinement: Refinement, before: str, after: str) -> str:
     )
 
 
-def _check_synchronization(synchronization: Synchronization | None) -> Iterator[tuple[Code, str]]:
+def _check_synchronization(synchronization: Synchronization | None) -> Iterator[_Failed]:
     if synchronization is not None and synchronization.warnings:
         described = [f"{warning.camera}: {warning.message.rstrip('.')}" for warning in synchronization.warnings]
-        yield (
+        yield failed_check(
             finding_codes.SYNC_UNCERTAIN,
             f"The clocks of the cameras were measured, but not well: {first_names(described)}. Let a person move "
             "where all cameras see them.",
