@@ -44,6 +44,7 @@ EXIT_BAD_INPUT = 2
 
 _NO_MEMORY = "There is not enough memory for this. Close other programs, or take fewer frames or cameras at once."
 
+DataOption = Annotated[Path | None, typer.Option("--data", help="Data folder of the service, as for `serve`.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 
 Item = TypeVar("Item")
@@ -89,20 +90,26 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], title: st
         typer.echo(typer.style(text.rstrip(), bold=True) if number == 0 else text.rstrip())
 
 
+def document(item: object, names: Sequence[str]) -> dict[str, Any]:
+    """JSON object of some attributes of a record."""
+    return {name: _plain(getattr(item, name)) for name in names}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, datetime):
+        return value.isoformat()
+    return sorted(value) if isinstance(value, frozenset) else value
+
+
 def show_list(
-    name: str,
-    items: Sequence[Item],
-    document: Callable[[Item], Mapping[str, Any]],
-    cells: Mapping[str, Callable[[Item], str]],
-    as_json: bool,
+    name: str, items: Sequence[Item], names: Sequence[str], cells: Mapping[str, Callable[[Item], str]], as_json: bool
 ) -> None:
     """Print items as a table, or as one JSON object.
 
-    ``name`` is the field of the JSON object and ``document`` makes the object of an item; ``cells`` make its cells, by
-    heading.
+    ``name`` is the field of the JSON object, and ``names`` are those of an item; ``cells`` make its cells, by heading.
     """
     if as_json:
-        emit({name: [document(item) for item in items]})
+        emit({name: [document(item, names) for item in items]})
         return
     print_table(list(cells), ([cell(item) for cell in cells.values()] for item in items))
 

@@ -15,10 +15,9 @@ _Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class CostTable:
-    """Table of costs: a title, a sentence on what was measured, columns and rows of text."""
+    """Table of costs: a title, columns and rows of text."""
 
     title: str
-    about: str
     columns: tuple[str, ...]
     rows: list[tuple[str, ...]]
 
@@ -31,13 +30,11 @@ def cost_tables(cost: _Row) -> list[CostTable]:
         _stages(cost["profiles"]),
         _jobs(
             "Length of videos",
-            "The sample, once and repeated, profile `fast`.",
             {"frames of a camera": lambda job: f"{job['camera_frames'] // job['cameras']}"},
             cost["length"],
         ),
         _jobs(
             "Cameras with videos",
-            "The sample's first cameras, profile `fast`.",
             {"cameras": lambda job: str(job["cameras"])},
             cost["cameras"],
         ),
@@ -45,7 +42,6 @@ def cost_tables(cost: _Row) -> list[CostTable]:
         *(
             _jobs(
                 f"Simulated keypoints by {name}",
-                "From 2D joints in memory to result files: all that follows detection.",
                 {
                     "cameras": lambda job: str(job["cameras"]),
                     "people": lambda job: str(job["simulated_people"]),
@@ -69,11 +65,7 @@ def _minutes(jobs: Sequence[_Row]) -> CostTable:
         "a further camera frame": lambda job: f"{job['added_camera_frame_core_ms']:.3g} ms",
         "memory": _memory,
     }
-    about = (
-        "Seconds of a core at two frame rates: the longer of two jobs that were measured, and what each further camera "
-        "frame costs from the shorter to the longer one. Shares and the largest memory belong to the longer job."
-    )
-    return _table("A minute of four cameras", about, columns, jobs)
+    return _table("A minute of four cameras", columns, jobs)
 
 
 def _processes(jobs: Sequence[_Row]) -> CostTable:
@@ -85,8 +77,7 @@ def _processes(jobs: Sequence[_Row]) -> CostTable:
         "seconds of a core": lambda job: _seconds(job["core_s"]),
         "memory": _memory,
     }
-    about = "Seconds that passed, profile `balanced`, by the number of processes with networks (`--processes`)."
-    return _table("Several cores", about, columns, jobs)
+    return _table("Several cores", columns, jobs)
 
 
 def _stages(jobs: Sequence[_Row]) -> CostTable:
@@ -98,11 +89,7 @@ def _stages(jobs: Sequence[_Row]) -> CostTable:
         for name, of_stage in costs.items()
         if max(of_stage) >= _MIN_STAGE_MS
     ]
-    about = (
-        "Milliseconds of a core for a camera frame, with what each job does only once, such as opening networks; "
-        f"stages that take less than {_MIN_STAGE_MS:g} ms are left out."
-    )
-    return CostTable("Stages", about, ("stage", *(f"`{job['profile']}`" for job in on_cpu)), rows)
+    return CostTable("Stages", ("stage", *(f"`{job['profile']}`" for job in on_cpu)), rows)
 
 
 def _pictures(rows: Sequence[_Row]) -> CostTable:
@@ -111,25 +98,23 @@ def _pictures(rows: Sequence[_Row]) -> CostTable:
     numbers = sorted({row["bodies"] for row in rows})
     return CostTable(
         "People in a picture",
-        "Milliseconds of a core for the networks of a picture by the bodies found in it, the median, and the number of "
-        "pictures of the sample.",
         ("bodies", *(f"`{profile}`" for profile in profiles)),
         [(str(number), *(cells.get((profile, number), "") for profile in profiles)) for number in numbers],
     )
 
 
-def _jobs(title: str, about: str, sizes: Mapping[str, Callable[[_Row], str]], jobs: Sequence[_Row]) -> CostTable:
+def _jobs(title: str, sizes: Mapping[str, Callable[[_Row], str]], jobs: Sequence[_Row]) -> CostTable:
     columns = {
         **sizes,
         "seconds of a core": lambda job: _seconds(job["core_s"]),
         "a camera frame": _camera_frame,
         "memory": _memory,
     }
-    return _table(title, about, columns, jobs)
+    return _table(title, columns, jobs)
 
 
-def _table(title: str, about: str, columns: Mapping[str, Callable[[_Row], str]], jobs: Iterable[_Row]) -> CostTable:
-    return CostTable(title, about, tuple(columns), [tuple(cell(job) for cell in columns.values()) for job in jobs])
+def _table(title: str, columns: Mapping[str, Callable[[_Row], str]], jobs: Iterable[_Row]) -> CostTable:
+    return CostTable(title, tuple(columns), [tuple(cell(job) for cell in columns.values()) for job in jobs])
 
 
 def _minute(rate: str) -> Callable[[_Row], str]:

@@ -1,12 +1,13 @@
 """`multicap benchmark fit`: speed and memory of the skeleton fit, from tracks in memory to motions."""
 
-import time
 import tracemalloc
 from dataclasses import fields, replace
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 
+from api.cli.benchmark.tracking import shortest_s
 from api.cli.console import JsonOption, emit, reporting, show_sizes, shows_help
 from pipeline.core.options.config import ReconstructionConfig
 
@@ -39,11 +40,8 @@ def measure_sizes() -> list[dict[str, Any]]:
         cameras, timebase = simulation.cameras, simulation.timebase
         parameters = derive_parameters(cameras, timebase.frame_rate_hz)
         people = reconstruct_tracks(cameras, simulation.times, simulation.detections, timebase, parameters)
-        best_s = np.inf
-        for _ in range(_REPEATS):
-            started_s = time.perf_counter()
-            animate(*people, cameras, timebase, simulation.joints, ReconstructionConfig())
-            best_s = min(best_s, time.perf_counter() - started_s)
+        fitted = partial(animate, *people, cameras, timebase, simulation.joints, ReconstructionConfig())
+        best_s = shortest_s(fitted, _REPEATS)
         person_frames = sum(track.num_frames for track in people[0])
         sizes.append(
             {"cameras": num_cameras, "people": len(simulation.truth_m), "person_frames_per_s": person_frames / best_s}

@@ -1,13 +1,28 @@
-"""`multicap benchmark tracking`: speed of tracking, and its cost by number of cameras (figure 6 of the paper)."""
+"""`multicap benchmark tracking` and `clustering`: their speed, and the cost of tracking by number of cameras."""
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import JsonOption, emit, print_table, reporting, require_writable, shows_help
+from api.cli.console import JsonOption, emit, print_table, reporting, require_writable, show_sizes, shows_help
+from pipeline.association.clustering.instant.work_limits import WorkLimits
+from pipeline.core.joints import COCO_18
+
+if not shows_help():
+    import numpy as np
+
+    from pipeline.association.clustering import clustering_parameters
+    from pipeline.association.clustering.cluster_people import find_poses, first_lengths, sampled_frames
+    from pipeline.association.clustering.instant.candidates import FieldEvidence
+    from pipeline.association.clustering.skeleton import clustering_skeleton
+    from pipeline.geometry.camera import image_from_world
+    from pipeline.run.warm_up import warm_up
+    from pipeline.validation.simulation.scenes import SCENES, Simulation, record
+    from pipeline.validation.simulation.views.fields import GRID, render
 
 if not shows_help():
     import numpy as np
@@ -55,7 +70,7 @@ def _dome(num_cameras: int, duration_s: float) -> "Simulation":
     return record(Scene(rig, cast, Clock(RATE_HZ), _DETECTOR, duration_s=duration_s), 0, num_cameras)
 
 
-def _seconds(work: Callable[[], object], repeats: int) -> float:
+def shortest_s(work: Callable[[], object], repeats: int) -> float:
     """Shortest of several times: other programs on the machine can only make a time longer."""
     best_s = np.inf
     for _ in range(repeats):
@@ -69,14 +84,14 @@ def _track_s(simulation: "Simulation", repeats: int = _REPEATS) -> float:
     """Time from keypoints in memory to tracks in memory."""
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
     views = (simulation.cameras, simulation.times, simulation.detections)
-    return _seconds(lambda: reconstruct_tracks(*views, simulation.timebase, parameters), repeats)
+    return shortest_s(lambda: reconstruct_tracks(*views, simulation.timebase, parameters), repeats)
 
 
 def _pairwise_ms(num_cameras: int) -> float:
     simulation = _dome(num_cameras, _PAIRWISE_FRAMES / RATE_HZ)
     parameters = derive_parameters(simulation.cameras, RATE_HZ)
     views = (simulation.cameras, simulation.times, simulation.detections)
-    return 1e3 * _seconds(lambda: associate_pairwise(*views, parameters), 1) / simulation.timebase.num_frames
+    return 1e3 * shortest_s(lambda: associate_pairwise(*views, parameters), 1) / simulation.timebase.num_frames
 
 
 def measure_sizes() -> list[dict[str, Any]]:
@@ -159,3 +174,48 @@ def tracking(
         ),
     )
     typer.echo(f"{_NUM_CAMERAS[-1]} cameras take {growth:.2f} times as long as 4.")
+
+
+# Scenes (of 4 and of 7 people) and numbers of cameras.
+_CLUSTERED = (("noisy", 5), ("crowd", 12))
+_DURATION_S = 2.0
+_NUM_TIMES = 3
+
+
+def _poses_s(simulation: "Simulation") -> float:
+    """Shortest of several times for all frames, with known bone lengths of all people."""
+    cameras, timebase = simulation.cameras, simulation.timebase
+    parameters = clustering_parameters.derive_parameters(cameras, GRID.tau2)
+    skeleton = clustering_skeleton(COCO_18)
+    projections = np.array([image_from_world(camera) for camera in cameras])
+    fields = render(simulation.sketches, simulation.times, (-np.inf, np.inf))
+    seen = FieldEvidence(cameras, simulation.times, fields, timebase, skeleton, parameters)
+    sampled = [(seen, sampled_frames(timebase, parameters))]
+    lengths = first_lengths(cameras, sampled, timebase, skeleton, parameters)
+    instants = [seen.at(frame) for frame in range(timebase.num_frames)]
+
+    def find_all() -> None:
+        for instant in instants:
+            find_poses(projections, instant, skeleton, lengths, parameters, WorkLimits())
+
+    return shortest_s(find_all, _NUM_TIMES)
+
+
+def measure_clustering() -> list[dict[str, Any]]:
+    """Frames a second at each size; a frame counts when all cameras were updated once."""
+    sizes = []
+    for scene, num_cameras in _CLUSTERED:
+        simulation = record(replace(SCENES[scene], duration_s=_DURATION_S), 0, num_cameras)
+        fps = simulation.timebase.num_frames / _poses_s(simulation)
+        sizes.append({"cameras": num_cameras, "people": len(simulation.truth_m), "fps": fps})
+    return sizes
+
+
+def clustering(
+    as_json: JsonOption = False,
+) -> None:
+    """Time clustering on one core, from peaks and fields in memory to poses in memory; simulated people."""
+    with reporting(as_json):
+        warm_up()
+        sizes = measure_clustering()
+    show_sizes(sizes, as_json)

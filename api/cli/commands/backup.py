@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.text import Text
 
-from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, JsonOption, byte_bar, console, emit, shows_help
+from api.cli.console import EXIT_BAD_INPUT, EXIT_FAILED, DataOption, JsonOption, byte_bar, console, emit, shows_help
 from pipeline.core.problems.finding_codes import BACKUP_FAILED, BAD_USAGE
 from pipeline.core.problems.request_codes import DATABASE_DAMAGED
 
@@ -31,7 +31,7 @@ _MAX_LINES = 20
 @app.command()
 def create(
     archive: Annotated[Path, typer.Argument(metavar="FILE", help="New backup file; it must not exist.")],
-    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Back up a service, which may be running."""

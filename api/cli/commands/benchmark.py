@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.benchmark.clustering import clustering
 from api.cli.benchmark.cost import all_costs
 from api.cli.benchmark.fit import fit
 from api.cli.benchmark.live_latency import live
 from api.cli.benchmark.profiles import looped_sample, profiles
 from api.cli.benchmark.providers import providers
-from api.cli.benchmark.tracking import tracking
+from api.cli.benchmark.tracking import clustering, tracking
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
 from api.cli.options import checked, with_choices
 

@@ -1,23 +1,22 @@
 """`multicap doctor`: look for what is wrong with a service, and remove files that belong to nothing."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, emit, shows_help
+from api.cli.console import DataOption, JsonOption, emit, shows_help
 
 if not shows_help():
     from api.cli.store import opened_store, settings_in
     from worker.store.files.artifacts import open_artifacts
     from worker.store.files.disk import DiskSpace
-    from worker.store.files.unneeded import orphaned_prefixes
+    from worker.store.repositories.work.expiry import orphaned_prefixes
 
 _GIB = 2**30
 
 
 def command(
-    data: Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")] = None,
+    data: DataOption = None,
     remove: Annotated[bool, typer.Option("--remove", help="Remove the files that belong to nothing.")] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -2,12 +2,21 @@
 
 from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, console, refusal, show_list, show_secret, shown_time, shows_help
+from api.cli.console import (
+    DataOption,
+    JsonOption,
+    console,
+    document,
+    refusal,
+    show_list,
+    show_secret,
+    shown_time,
+    shows_help,
+)
 from worker.store.model.rights import DEFAULT_TENANT, Key, Scope
 
 if not shows_help():
@@ -16,20 +25,9 @@ if not shows_help():
     from worker.store.files.disk import DiskSpace
 
 app = typer.Typer(help="API keys of the service: create, list, revoke.", no_args_is_help=True)
-Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
 
 _DAY_S = 86_400.0
-
-
-def _document(key: Key) -> dict[str, Any]:
-    times = {name: getattr(key, name) for name in ("created_at", "expires_at", "revoked_at")}
-    return {
-        "id": key.id,
-        "tenant": key.tenant,
-        "name": key.name,
-        "scopes": sorted(key.scopes),
-        **{name: moment.isoformat() if moment else None for name, moment in times.items()},
-    }
+_FIELDS = ("id", "tenant", "name", "scopes", "created_at", "expires_at", "revoked_at")
 
 
 @app.command()
@@ -49,7 +47,7 @@ def create(
         float | None,
         typer.Option(min=1 / 1440, help="Days until the key expires; without it the key is valid until it is revoked."),
     ] = None,
-    data: Data = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Create a key and print it; it can't be read again. After the first key every request needs one."""
@@ -58,11 +56,11 @@ def create(
     with store_in(data) as store:
         key, secret = store.keys.add(tenant, name, set(scope), None if days is None else days * _DAY_S)
     sentence = f"Key {key.id} of {key.tenant}. Store it; it is not shown again:"
-    show_secret(secret, sentence, {**_document(key), "key": secret}, as_json)
+    show_secret(secret, sentence, document(key, _FIELDS) | {"key": secret}, as_json)
 
 
 @app.command("list")
-def list_(data: Data = None, as_json: JsonOption = False) -> None:
+def list_(data: DataOption = None, as_json: JsonOption = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
         keys = store.keys.all()
@@ -74,7 +72,7 @@ def list_(data: Data = None, as_json: JsonOption = False) -> None:
         "scopes": lambda key: " ".join(sorted(key.scopes)),
         "until": lambda key: _until(key, now),
     }
-    show_list("keys", keys, _document, cells, as_json)
+    show_list("keys", keys, _FIELDS, cells, as_json)
 
 
 def _until(key: Key, now: datetime) -> str:
@@ -89,7 +87,7 @@ def _until(key: Key, now: datetime) -> str:
 @app.command()
 def revoke(
     key_id: Annotated[str, typer.Argument(metavar="ID", help="ID of the key, from `multicap keys list`.")],
-    data: Data = None,
+    data: DataOption = None,
 ) -> None:
     """Revoke a key at once and forever."""
     settings = settings_in(data)

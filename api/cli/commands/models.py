@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -32,7 +32,7 @@ def list_(as_json: JsonOption = False) -> None:
         "licence": lambda model: model.licence,
         "sha256": lambda model: model.sha256,
     }
-    show_list("models", known, asdict, cells, as_json)
+    show_list("models", known, [field.name for field in fields(models.ModelStatus)], cells, as_json)
 
 
 @app.command()

@@ -1,12 +1,11 @@
 """`multicap webhooks`: rotate the signing secret of a tenant, and list undelivered messages."""
 
 from collections.abc import Callable, Mapping
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from api.cli.console import JsonOption, refusal, show_list, show_secret, shown_time, shows_help
+from api.cli.console import DataOption, JsonOption, refusal, show_list, show_secret, shown_time, shows_help
 from worker.store.model.job_records import Delivery
 from worker.store.model.rights import DEFAULT_TENANT
 
@@ -14,7 +13,6 @@ if not shows_help():
     from api.cli.store import store_in
 
 app = typer.Typer(help="Webhooks of the service: secrets and undelivered messages.", no_args_is_help=True)
-Data = Annotated[Path | None, typer.Option(help="Data folder of the service, as for `serve`.")]
 Tenant = Annotated[str, typer.Option(help="Tenant whose webhooks the secret signs.")]
 
 _HOUR_S = 3600.0
@@ -26,18 +24,7 @@ _CELLS: Mapping[str, Callable[[Delivery], str]] = {
     "next": lambda delivery: shown_time(delivery.due_at),
     "problem": lambda delivery: delivery.problem or "",
 }
-
-
-def _document(delivery: Delivery) -> dict[str, Any]:
-    return {
-        "message_id": delivery.message_id,
-        "job_id": delivery.job_id,
-        "tenant": delivery.tenant,
-        "url": delivery.url,
-        "due_at": delivery.due_at.isoformat(),
-        "tries": delivery.tries,
-        "problem": delivery.problem,
-    }
+_FIELDS = ("message_id", "job_id", "tenant", "url", "due_at", "tries", "problem")
 
 
 @app.command()
@@ -46,7 +33,7 @@ def rotate(
     keep_hours: Annotated[
         float, typer.Option(min=0, max=720, help="Hours for which the previous secret still signs, too.")
     ] = 24.0,
-    data: Data = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Create and print a new secret that signs a tenant's webhooks."""
@@ -59,8 +46,8 @@ def rotate(
 
 
 @app.command("list")
-def list_(data: Data = None, as_json: JsonOption = False) -> None:
+def list_(data: DataOption = None, as_json: JsonOption = False) -> None:
     """List undelivered messages, the oldest first."""
     with store_in(data) as store:
         deliveries = store.webhooks.pending()
-    show_list("deliveries", deliveries, _document, _CELLS, as_json)
+    show_list("deliveries", deliveries, _FIELDS, _CELLS, as_json)
