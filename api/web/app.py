@@ -20,7 +20,7 @@ from api.web.http import middleware
 from api.web.http.bodies import validation
 from api.web.http.fair_share import share_of_requests, threads_of_blocks, threads_of_checks
 from api.web.http.keys_in_use import KeysInUse, RevokedKeyGuard
-from api.web.http.rates import RATE_HEADERS, Rates, WrongKeys
+from api.web.http.rates import RATE_HEADERS, request_rates, wrong_key_rates
 from api.web.http.websockets import WebSocketGuard
 from api.web.jobs.routes import declare_webhooks
 from api.web.live.forks import ForkServer
@@ -166,8 +166,8 @@ def _start(settings: Settings) -> Services:
         blocks=threads_of_blocks(),
         changes=JobChanges(store, settings.max_tenant_streams),
         keys_in_use=KeysInUse(store),
-        rates=Rates(settings.max_requests_per_minute),
-        wrong_keys=WrongKeys(settings.max_wrong_keys_per_minute),
+        rates=request_rates(settings.max_requests_per_minute),
+        wrong_keys=wrong_key_rates(settings.max_wrong_keys_per_minute),
         readiness=LimitedChecks(_READINESS_LIMIT_S),
         live_places=LivePlaces(
             settings.max_live_captures,

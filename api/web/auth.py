@@ -15,11 +15,11 @@ from fastapi.security import APIKeyCookie, APIKeyQuery, HTTPBearer
 from fastapi.security.http import HTTPAuthorizationCredentials
 from fastapi.security.utils import get_authorization_scheme_param
 from starlette.requests import HTTPConnection
+from starlette.responses import Response
 from starlette.websockets import WebSocket
 
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError
-from api.web.http.browser_cookie import NAME, cookie_name, deletion
 from api.web.http.keys_in_use import Credential
 from api.web.http.rates import client_network
 from pipeline.core.problems import request_codes
@@ -29,6 +29,8 @@ from worker.store.model.rights import DEFAULT_TENANT, Actor, Key, Link, LinkScop
 from worker.store.repositories.links import LINK_PREFIX
 from worker.store.tenant_records import TenantRecords
 
+COOKIE = "multicap_session"
+"""Name of the cookie of a browser's session, without its prefix."""
 LINK = "link"
 """Parameter of an address with the secret of a link."""
 ALL_RESULTS = "results.zip"
@@ -49,7 +51,7 @@ class _BrowserCookie(APIKeyCookie):
 
 
 _cookie = _BrowserCookie(
-    name=NAME,
+    name=COOKIE,
     auto_error=False,
     scheme_name="browser",
     description="Session of a browser that signed in with a key. Over TLS the name has the prefix `__Host-`.",
@@ -366,3 +368,35 @@ AdminDep = Annotated[Caller, Depends(_authorize_admin)]
 RecordsDep = Annotated[TenantRecords, Depends(_tenant_records(_authorize))]
 # Of a phone of a recording the uploads that it sent, and nothing else.
 UploadsDep = Annotated[TenantRecords, Depends(_tenant_records(_find_uploader))]
+
+
+def cookie_name(connection: HTTPConnection) -> str:
+    """Name of the cookie on this connection.
+
+    Over TLS the prefix makes browsers refuse a cookie that another host of the domain has set, or that came over an
+    unencrypted connection; without TLS they refuse the prefix.
+    """
+    return f"__Host-{COOKIE}" if _is_encrypted(connection) else COOKIE
+
+
+def _is_encrypted(connection: HTTPConnection) -> bool:
+    return connection.url.scheme in {"https", "wss"}
+
+
+def set_cookie(connection: HTTPConnection, response: Response, secret: str, lifetime_s: int) -> None:
+    """Let a browser keep the secret of its session."""
+    name, is_secure = cookie_name(connection), _is_encrypted(connection)
+    response.set_cookie(name, secret, max_age=lifetime_s, httponly=True, samesite="strict", secure=is_secure)
+
+
+def delete_cookie(connection: HTTPConnection, response: Response) -> None:
+    """Let a browser forget its session."""
+    is_secure = _is_encrypted(connection)
+    response.delete_cookie(cookie_name(connection), httponly=True, samesite="strict", secure=is_secure)
+
+
+def deletion(connection: HTTPConnection) -> str:
+    """Value of ``Set-Cookie`` that deletes the cookie of this connection."""
+    response = Response()
+    delete_cookie(connection, response)
+    return response.headers["set-cookie"]

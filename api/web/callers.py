@@ -5,12 +5,11 @@ from typing import Self
 from fastapi import APIRouter, Request, Response, status
 from pydantic import AwareDatetime, Field
 
-from api.web.auth import AnyCallerDep, wrong_key
+from api.web.auth import AnyCallerDep, cookie_name, delete_cookie, set_cookie, wrong_key
 from api.web.contract.description import Resource, problems
 from api.web.contract.schemas import RequestModel, ResponseModel
 from api.web.dependencies import ServicesDep
 from api.web.http.bodies.reading import SmallBodyRoute
-from api.web.http.browser_cookie import cookie_name, delete_cookie, set_cookie
 from worker.store.database.quotas import Quotas
 from worker.store.model.rights import Scope, Usage
 

@@ -1,7 +1,7 @@
 """Dependencies of routes: the parts of the service, and ids from paths."""
 
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Any
 
 from fastapi import Depends, Path, Query, Request
@@ -11,7 +11,7 @@ from api.web.health.checks import LimitedChecks
 from api.web.http.bodies.form import FormLimits
 from api.web.http.fair_share import FairShare, FairThreads
 from api.web.http.keys_in_use import KeysInUse
-from api.web.http.rates import Rates, WrongKeys
+from api.web.http.rates import Rates
 from api.web.live.forks import ForkServer
 from api.web.live.places import LivePlaces
 from api.web.recordings.rooms import Rooms
@@ -48,7 +48,7 @@ class Services:
     changes: JobChanges
     keys_in_use: KeysInUse
     rates: Rates
-    wrong_keys: WrongKeys
+    wrong_keys: Rates
     readiness: LimitedChecks
     live_places: LivePlaces
     live_forks: ForkServer
@@ -67,15 +67,7 @@ class Services:
     @property
     def limits(self) -> FormLimits:
         """Limits of the files of a session."""
-        return FormLimits(
-            max_file_bytes=self.settings.max_file_bytes,
-            max_keypoints_bytes=self.settings.max_keypoints_bytes,
-            max_session_bytes=self.settings.max_session_bytes,
-            max_calibration_bytes=self.settings.max_calibration_bytes,
-            max_character_bytes=self.settings.max_character_bytes,
-            max_json_bytes=self.settings.max_json_bytes,
-            max_cameras=self.settings.max_cameras,
-        )
+        return FormLimits(**{limit.name: getattr(self.settings, limit.name) for limit in fields(FormLimits)})
 
 
 def app_services(request: Request) -> Services:

@@ -6,7 +6,7 @@ Event streams and downloads may run for hours after their key was checked.
 import asyncio
 import contextlib
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Literal, NamedTuple
 
 import structlog
@@ -21,10 +21,13 @@ _log = structlog.get_logger(__name__)
 _INTERVAL_S = 0.25
 
 
+CredentialKind = Literal["key", "link", "join"]
+
+
 class Credential(NamedTuple):
     """Key or link of a request; ``join`` is the link of a recording."""
 
-    kind: Literal["key", "link", "join"]
+    kind: CredentialKind
     id: str | None  # ``None`` for a request without a key, which is allowed as long as the service has no keys
 
 
@@ -73,17 +76,15 @@ class KeysInUse:
                 ended.set()
 
     def _valid(self, watched: set[Credential]) -> set[Credential]:
-        valid = set[Credential]()
-        if keys := {credential.id for credential in watched if credential.kind == "key" and credential.id is not None}:
-            valid |= {Credential("key", key_id) for key_id in self._store.keys.valid(keys)}
-        if links := {
-            credential.id for credential in watched if credential.kind == "link" and credential.id is not None
-        }:
-            valid |= {Credential("link", link_id) for link_id in self._store.link_secrets.valid(links)}
-        if joins := {
-            credential.id for credential in watched if credential.kind == "join" and credential.id is not None
-        }:
-            valid |= {Credential("join", link_id) for link_id in self._store.join_secrets.valid(joins)}
+        valid, store = set[Credential](), self._store
+        sources: Mapping[CredentialKind, Callable[[Collection[str]], set[str]]] = {
+            "key": store.keys.valid,
+            "link": store.link_secrets.valid,
+            "join": store.join_secrets.valid,
+        }
+        for kind, find_valid in sources.items():
+            if ids := {credential.id for credential in watched if credential.kind == kind and credential.id}:
+                valid |= {Credential(kind, valid_id) for valid_id in find_valid(ids)}
         if Credential("key", None) in watched and not self._store.keys.exist():
             valid.add(Credential("key", None))
         return valid

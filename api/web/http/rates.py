@@ -98,66 +98,47 @@ class MovingMinute:
 
 
 class Rates:
-    """Counts of the requests of the last minute by tenant, in this process.
+    """Counts of the last minute by key, in this process: requests by tenant, or wrong keys by network of the client.
 
-    A tenant may make ``per_minute`` requests; ``None``: any number.
+    ``per_minute`` are allowed; ``None``: any number. More are answered by 429, with the code, the sentence, in which
+    the limit stands, and the hint.
     """
 
-    def __init__(self, per_minute: int | None) -> None:
-        self._minute = None if per_minute is None else MovingMinute(per_minute)
+    def __init__(self, per_minute: int | None, code: Code, sentence: str, hint: str, max_keys: int = _MAX_KEYS) -> None:
+        self._minute = None if per_minute is None else MovingMinute(per_minute, max_keys)
+        self._code, self._sentence, self._hint = code, sentence, hint
 
-    def count(self, tenant: str) -> dict[str, str]:
-        """Count a request; raise 429 above the limit.
+    def count(self, key: str) -> dict[str, str]:
+        """Count an event; raise 429 above the limit.
 
         Returns ``RATE_HEADERS`` with their values; empty without a limit.
         """
         if self._minute is None:
             return {}
-        state, limit = self._minute.hit(tenant), self._minute.limit
+        state, limit = self._minute.hit(key), self._minute.limit
+        values = (limit, state.remaining, max(1, math.ceil(state.reset_s)))
+        headers = dict(zip(RATE_HEADERS, map(str, values), strict=True))
         if state.is_allowed:
-            return _headers(limit, state)
-        raise _too_many(
-            TOO_MANY_REQUESTS,
-            f"At most {limit} requests a minute are allowed.",
-            "Send fewer requests: an event stream reports all changes of a job in one request.",
-            _headers(limit, state),
-        )
-
-
-class WrongKeys:
-    """Counts of wrong keys by client network, in this process.
-
-    ``per_minute`` of a network are answered by 401, more by 429.
-    """
-
-    def __init__(self, per_minute: int, max_networks: int = _MAX_KEYS) -> None:
-        self._minute = MovingMinute(per_minute, max_networks)
-
-    def count(self, network: str) -> dict[str, str]:
-        """Count a wrong key; raise 429 above the limit. Returns ``RATE_HEADERS`` with their values."""
-        state, limit = self._minute.hit(network), self._minute.limit
-        if state.is_allowed:
-            return _headers(limit, state)
-        raise _too_many(
-            TOO_MANY_WRONG_KEYS,
-            f"More than {limit} wrong keys came from this address within a minute.",
-            "Correct the key. A valid key is served at once.",
-            _headers(limit, state),
-        )
+            return headers
+        headers["Retry-After"] = headers["RateLimit-Reset"]
+        raise ApiError(self._code, self._sentence.format(limit), hint=self._hint, retryable=True, headers=headers)
 
     def __len__(self) -> int:
-        """Number of networks with counts."""
-        return len(self._minute)
+        """Number of keys with counts."""
+        return 0 if self._minute is None else len(self._minute)
 
 
-def _headers(limit: int, state: MinuteState) -> dict[str, str]:
-    values = (limit, state.remaining, max(1, math.ceil(state.reset_s)))
-    return dict(zip(RATE_HEADERS, map(str, values), strict=True))
+def request_rates(per_minute: int | None) -> Rates:
+    """Limit of the requests of each tenant."""
+    hint = "Send fewer requests: an event stream reports all changes of a job in one request."
+    return Rates(per_minute, TOO_MANY_REQUESTS, "At most {} requests a minute are allowed.", hint)
 
 
-def _too_many(code: Code, detail: str, hint: str, headers: dict[str, str]) -> ApiError:
-    retry_after = {"Retry-After": headers["RateLimit-Reset"]}
-    return ApiError(code, detail, hint=hint, retryable=True, headers=retry_after | headers)
+def wrong_key_rates(per_minute: int, max_networks: int = _MAX_KEYS) -> Rates:
+    """Limit of the wrong keys of each client network; wrong keys within it are answered by 401."""
+    sentence = "More than {} wrong keys came from this address within a minute."
+    hint = "Correct the key. A valid key is served at once."
+    return Rates(per_minute, TOO_MANY_WRONG_KEYS, sentence, hint, max_networks)
 
 
 class Pace:

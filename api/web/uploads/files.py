@@ -24,8 +24,8 @@ _SYNC_BYTES = 64 * 2**20
 _PIECE_SUFFIX = ".piece"
 
 
-class FolderUploads(spool.Writers):
-    """Folder of the files of uploads: an ``UploadSpool``.
+class FolderUploads(spool.UploadSpool):
+    """Folder of the files of uploads.
 
     The folder is created if it is missing. ``disk`` is the one whose free space is checked. Pieces whose checksum was
     not compared yet when an earlier process was killed are removed.

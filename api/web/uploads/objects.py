@@ -23,7 +23,7 @@ import structlog
 from starlette.concurrency import run_in_threadpool
 from uuid_utils import uuid7
 
-from api.web.uploads.spool import UNRECORDED_S, Checksum, Compared, Writers, receive, require_offset
+from api.web.uploads.spool import UNRECORDED_S, Checksum, Compared, UploadSpool, receive, require_offset
 from worker.store.errors import ArtifactsRefused, ArtifactsUnavailable, NotFound
 from worker.store.files.disk import DiskSpace
 from worker.store.files.s3 import open_bucket, reached
@@ -64,8 +64,8 @@ def _chain(blocks: Iterable[_Block]) -> list[_Block]:
         chain.append(furthest)
 
 
-class SharedUploads(Writers):
-    """Objects of uploads in a bucket: an ``UploadSpool``.
+class SharedUploads(UploadSpool):
+    """Objects of uploads in a bucket.
 
     - ``url``: URL of the artifacts.
     - ``folder``: new folder of this process, for pieces while they arrive, and for files that were put together for a

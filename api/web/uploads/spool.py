@@ -112,31 +112,32 @@ UNRECORDED_S = 600.0
 """Age at which bytes without a row in the database are removed: they arrive before it, and go after it."""
 
 
-class UploadSpool(Protocol):
+class UploadSpool(ABC):
     """Place of the bytes of uploads: a folder of this API process, or a bucket that all API processes share.
 
     The number of bytes that are stored is the upload's offset and is stored nowhere else, so that it is right after a
-    crash at any moment. Bytes are stored for good before they are acknowledged.
+    crash at any moment. Bytes are stored for good before they are acknowledged. One request at a time writes to one.
     """
 
     name: str
     """Name of the place, kept in the upload's row."""
 
+    def __init__(self) -> None:
+        self._scopes: dict[str, tuple[anyio.CancelScope, asyncio.Event]] = {}
+
+    @abstractmethod
     def create(self, num_bytes: int, upload_id: str | None = None) -> str:
         """Make room for an upload, by default with a new id, and return its id; the caller records it at once."""
 
+    @abstractmethod
     def is_here(self, upload: Upload) -> bool:
         """Return whether this process can reach the bytes of an upload."""
 
-    def require_here(self, upload: Upload) -> None:
-        """Raise 421 unless ``is_here``; logged with the place of the bytes."""
-
+    @abstractmethod
     def offset(self, upload: Upload) -> int:
         """Bytes of an upload that are stored; raises ``NotFound`` if it is gone, 421 if it is elsewhere."""
 
-    def writing(self, upload_id: str) -> contextlib.AbstractAsyncContextManager[None]:
-        """Reserve an upload for writing during the block; a request that is writing is stopped and raises 423."""
-
+    @abstractmethod
     async def append(self, upload: Upload, offset: int, stream: AsyncIterator[bytes], checksum: Checksum | None) -> int:
         """Append a piece; within ``writing`` only.
 
@@ -148,28 +149,20 @@ class UploadSpool(Protocol):
         elsewhere, 423 if another request writes, 460 if the checksum is wrong.
         """
 
+    @abstractmethod
     def file(self, upload: Upload) -> Path:
         """Path of the file of a complete upload on the disk of the data folder; others may hard-link it."""
 
+    @abstractmethod
     def remove(self, upload_id: str) -> None:
         """Remove the bytes of an upload, if there are any."""
 
+    @abstractmethod
     def sweep(self, store: JobStore) -> None:
         """Remove expired uploads, and bytes without an upload, once."""
 
-
-class Writers(ABC):
-    """Requests that write to uploads, at most one for each."""
-
-    def __init__(self) -> None:
-        self._scopes: dict[str, tuple[anyio.CancelScope, asyncio.Event]] = {}
-
-    @abstractmethod
-    def is_here(self, upload: Upload) -> bool:
-        """See ``UploadSpool``."""
-
     def require_here(self, upload: Upload) -> None:
-        """See ``UploadSpool``."""
+        """Raise 421 unless ``is_here``; logged with the place of the bytes."""
         if not self.is_here(upload):
             _log.warning("upload_elsewhere", upload=upload.id, spool=upload.spool)
             raise ApiError(

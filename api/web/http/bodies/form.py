@@ -16,17 +16,7 @@ from pathlib import Path, PurePosixPath
 from typing import BinaryIO, Literal
 
 from api.web.errors import ApiError, ErrorItem, pointer_to
-from api.web.http.bodies.form_kinds import (
-    CHARACTER,
-    IMAGES,
-    KEYPOINTS,
-    LABORATORY,
-    MANIFEST,
-    POINTS,
-    VIDEOS,
-    VIEWS,
-    FormKind,
-)
+from api.web.http.bodies import form_kinds
 from api.web.http.bodies.validation import FieldPlaces
 from pipeline.capture.parts import group_parts
 from pipeline.core.problems import request_codes
@@ -40,10 +30,10 @@ _MAX_OTHER_PARTS = 32
 _MAX_PARTS_OF_CAMERA = 16
 _BLOCK_BYTES = 2**20
 _TOO_MANY = {
-    VIDEOS: request_codes.TOO_MANY_VIDEOS,
-    IMAGES: request_codes.TOO_MANY_IMAGES,
-    KEYPOINTS: request_codes.TOO_MANY_KEYPOINTS,
-    POINTS: request_codes.TOO_MANY_KEYPOINTS,
+    form_kinds.VIDEOS: request_codes.TOO_MANY_VIDEOS,
+    form_kinds.IMAGES: request_codes.TOO_MANY_IMAGES,
+    form_kinds.KEYPOINTS: request_codes.TOO_MANY_KEYPOINTS,
+    form_kinds.POINTS: request_codes.TOO_MANY_KEYPOINTS,
 }
 _TOO_LARGE = {
     "file": request_codes.FILE_TOO_LARGE,
@@ -67,7 +57,7 @@ class FormLimits:
 
     def max_files(self, part: str) -> int:
         """Largest number of files of a part that has files of all cameras."""
-        return self.max_cameras * (_MAX_PARTS_OF_CAMERA if part == VIDEOS else 1)
+        return self.max_cameras * (_MAX_PARTS_OF_CAMERA if part == form_kinds.VIDEOS else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,22 +85,22 @@ class Form:
     @property
     def videos(self) -> tuple[ReceivedFile, ...]:
         """Videos, one for each camera."""
-        return self.files.get(VIDEOS, ())
+        return self.files.get(form_kinds.VIDEOS, ())
 
     @property
     def keypoints(self) -> tuple[ReceivedFile, ...]:
         """Archives of keypoints, one for each camera."""
-        return self.files.get(KEYPOINTS, ())
+        return self.files.get(form_kinds.KEYPOINTS, ())
 
     @property
     def points(self) -> tuple[ReceivedFile, ...]:
         """Files of 3D points."""
-        return self.files.get(POINTS, ())
+        return self.files.get(form_kinds.POINTS, ())
 
     def pointers(self) -> dict[str, ReceivedFile]:
         """Files by their JSON pointers."""
         return {
-            f"/{part}/{index}" if part in VIEWS else f"/{part}": file
+            f"/{part}/{index}" if part in form_kinds.VIEWS else f"/{part}": file
             for part, files in self.files.items()
             for index, file in enumerate(files)
         }
@@ -138,13 +128,19 @@ class _OpenFile:
 class Parts:
     """Receiver of the parts of a form: files go to disk, JSON to memory; refused parts are dropped."""
 
-    def __init__(self, folder: Path, limits: FormLimits, kind: FormKind, places: FieldPlaces) -> None:
+    def __init__(self, folder: Path, limits: FormLimits, kind: form_kinds.FormKind, places: FieldPlaces) -> None:
         self._folder = folder
         self._limits = limits
         self._kind = kind
         self._places = places
-        limit_of = {VIDEOS: limits.max_file_bytes, IMAGES: limits.max_file_bytes, CHARACTER: limits.max_character_bytes}
-        limit_of |= dict.fromkeys((KEYPOINTS, POINTS, LABORATORY), limits.max_keypoints_bytes)
+        limit_of = {
+            form_kinds.VIDEOS: limits.max_file_bytes,
+            form_kinds.IMAGES: limits.max_file_bytes,
+            form_kinds.CHARACTER: limits.max_character_bytes,
+        }
+        limit_of |= dict.fromkeys(
+            (form_kinds.KEYPOINTS, form_kinds.POINTS, form_kinds.LABORATORY), limits.max_keypoints_bytes
+        )
         self._max_file_bytes = {part: limit_of.get(part, limits.max_calibration_bytes) for part in kind.parts}
         self._files: dict[str, list[ReceivedFile]] = {part: [] for part in self._max_file_bytes}
         self._counts = dict.fromkeys(self._max_file_bytes, 0)
@@ -161,7 +157,7 @@ class Parts:
 
     def begin(self, part: str, file_name: str | None) -> None:
         """Begin a part."""
-        self._num_other_parts += part != VIDEOS or self._counts[part] >= self._limits.max_files(part)
+        self._num_other_parts += part != form_kinds.VIDEOS or self._counts[part] >= self._limits.max_files(part)
         if self._num_other_parts > self._limits.max_cameras + _MAX_OTHER_PARTS:
             raise ApiError(request_codes.TOO_MANY_PARTS, "The form has too many parts.")
         self._part, self._file_name, self._part_bytes = part, file_name or "", 0
@@ -182,19 +178,20 @@ class Parts:
             known = ", ".join([*self._files, *self._kind.documents])
             message, name = f"The form has a part that is not one of: {known}.", part[:_MAX_SHOWN]
             hint = self._places.hint(name, "")
-            self._errors.append(
-                ErrorItem(code=request_codes.UNKNOWN_PART, message=message, pointer=pointer_to(name), hint=hint)
-            )
+            self._add_error(request_codes.UNKNOWN_PART, message, pointer_to(name), hint=hint)
 
     def write(self, data: bytes) -> None:
         """Receive the next bytes of the part."""
-        self._part_bytes += len(data)
-        self._total_bytes += len(data)
+        self._count_bytes(len(data))
+        self._write(data)
+
+    def _count_bytes(self, num_bytes: int) -> None:
+        self._part_bytes += num_bytes
+        self._total_bytes += num_bytes
         if self._part_bytes > self._max_bytes:
             raise too_large("part", self._max_bytes, self._part, self._file_name)
         if self._total_bytes > self._limits.max_session_bytes:
             raise too_large("session", self._limits.max_session_bytes)
-        self._write(data)
 
     def end(self) -> None:
         """End the part."""
@@ -204,13 +201,10 @@ class Parts:
 
     def adopt(self, part: str, name: str, source: Path) -> None:
         """Add a file that is on disk already, by a hard link in the folder; ``source`` stays."""
-        self._part, self._max_bytes = part, self._max_file_bytes[part]
+        self._part, self._file_name, self._part_bytes = part, name, 0
+        self._max_bytes = self._max_file_bytes[part]
         num_bytes = source.stat().st_size
-        self._total_bytes += num_bytes
-        if num_bytes > self._max_bytes:
-            raise too_large("part", self._max_bytes, part, name)
-        if self._total_bytes > self._limits.max_session_bytes:
-            raise too_large("session", self._limits.max_session_bytes)
+        self._count_bytes(num_bytes)
         if self._admit(part, name):
             path = self._folder / name
             path.hardlink_to(source)
@@ -234,14 +228,12 @@ class Parts:
 
     def reject_field(self, field: str, code: Code, message: str, hint: str) -> None:
         """Record an error about a field that stands for files, which are not reported as missing then."""
-        self._errors.append(ErrorItem(code=code, message=message, pointer=pointer_to(field), hint=hint))
+        self._add_error(code, message, pointer_to(field), hint=hint)
         self._refused = True
 
     def lack(self, part: str, code: Code, message: str, hint: str, file: str | None = None) -> None:
         """Record an error about a missing or unusable file of a part."""
-        self._errors.append(
-            ErrorItem(code=code, message=message, pointer=self._next_pointer(part), file=file, hint=hint)
-        )
+        self._add_error(code, message, self._next_pointer(part), file, hint)
 
     def form(self, documents: Iterable[str] = (), num_stated_parts: int = 0) -> Form:
         """Return all parts, for the end of the body.
@@ -249,14 +241,14 @@ class Parts:
         ``documents`` are names of further documents that were sent, in which so many videos are stated to be further
         parts of a recording.
         """
-        num_stated_parts += _num_stated_parts(self._documents.get(MANIFEST, b""))
+        num_stated_parts += _num_stated_parts(self._documents.get(form_kinds.MANIFEST, b""))
         recordings = group_parts(PurePosixPath(name).stem for name in self._videos)
         if len(recordings) - num_stated_parts > (most := self._limits.max_cameras):
             message = f"A {self._kind.noun} has {most} cameras at most; these are {len(recordings)} recordings."
-            self._add_error(request_codes.TOO_MANY_VIDEOS, message, f"/{VIDEOS}/{most}")
+            self._add_error(request_codes.TOO_MANY_VIDEOS, message, f"/{form_kinds.VIDEOS}/{most}")
         sent = dict.fromkeys((*self._documents, *documents), 1) | {name: n for name, n in self._counts.items() if n}
         for code, message, part in self._kind.faults(Counter(sent)):
-            if not (self._refused and code == request_codes.MISSING_PART and part in VIEWS):
+            if not (self._refused and code == request_codes.MISSING_PART and part in form_kinds.VIEWS):
                 self._add_error(code, message, f"/{part}")
         return Form(
             files={part: tuple(files) for part, files in self._files.items()},
@@ -274,10 +266,10 @@ class Parts:
     def _admit(self, part: str, name: str) -> bool:
         """Return whether a file is accepted; record an error if it is not."""
         index, pointer = self._counts[part], self._next_pointer(part)
-        if part in VIEWS and index >= (max_files := self._limits.max_files(part)):
+        if part in form_kinds.VIEWS and index >= (max_files := self._limits.max_files(part)):
             if index == max_files:
                 self._add_error(_TOO_MANY[part], f"A {self._kind.noun} has {max_files} {part} at most.", pointer)
-        elif part not in VIEWS and index > 0:
+        elif part not in form_kinds.VIEWS and index > 0:
             self._add_error(request_codes.DUPLICATE_PART, f"A {self._kind.noun} has one file of {part}.", pointer)
         elif message := name_error(name):
             self._add_error(request_codes.FILE_NAME_INVALID, message, pointer)
@@ -287,7 +279,7 @@ class Parts:
             )
         else:
             self._names.add(_folded(name))
-            self._videos += [name] if part == VIDEOS else []
+            self._videos += [name] if part == form_kinds.VIDEOS else []
             return True
         return False
 
@@ -295,10 +287,12 @@ class Parts:
         """Count a file of a part and return its JSON pointer."""
         index = self._counts[part]
         self._counts[part] += 1
-        return f"/{part}/{index}" if part in VIEWS else f"/{part}"
+        return f"/{part}/{index}" if part in form_kinds.VIEWS else f"/{part}"
 
-    def _add_error(self, code: Code, message: str, pointer: str | None, file: str | None = None) -> None:
-        self._errors.append(ErrorItem(code=code, message=message, pointer=pointer, file=file))
+    def _add_error(
+        self, code: Code, message: str, pointer: str, file: str | None = None, hint: str | None = None
+    ) -> None:
+        self._errors.append(ErrorItem(code=code, message=message, pointer=pointer, file=file, hint=hint))
 
 
 def _num_stated_parts(manifest: bytes | bytearray) -> int:

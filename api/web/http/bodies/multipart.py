@@ -79,13 +79,13 @@ class _Reader:
             self._parser = MultipartParser(
                 boundary,
                 {
-                    "on_part_begin": self._on_part_begin,
+                    "on_part_begin": self._headers.clear,
                     "on_header_field": self._on_header_field,
                     "on_header_value": self._on_header_value,
                     "on_header_end": self._on_header_end,
                     "on_headers_finished": self._on_headers_finished,
-                    "on_part_data": self._on_part_data,
-                    "on_part_end": self._on_part_end,
+                    "on_part_data": lambda data, start, end: parts.write(data[start:end]),
+                    "on_part_end": parts.end,
                     "on_end": self._on_end,
                 },
             )
@@ -104,9 +104,6 @@ class _Reader:
         if not self._complete:
             raise _malformed()
         return self._parts.form()
-
-    def _on_part_begin(self) -> None:
-        self._headers = {}
 
     def _on_header_field(self, data: bytes, start: int, end: int) -> None:
         self._name += data[start:end]
@@ -131,12 +128,6 @@ class _Reader:
         # The parser removes the folders of a Windows path. Paths are refused, so the backslash is put back.
         as_sent = self._headers[b"content-disposition"].replace(b'\\"', b'"')
         return f"\\{name}" if b"\\" in as_sent and "\\" not in name else name
-
-    def _on_part_data(self, data: bytes, start: int, end: int) -> None:
-        self._parts.write(data[start:end])
-
-    def _on_part_end(self) -> None:
-        self._parts.end()
 
     def _on_end(self) -> None:
         self._complete = True

@@ -5,13 +5,13 @@ import time
 import pytest
 
 from api.web.errors import ApiError
-from api.web.http.rates import Rates
+from api.web.http.rates import request_rates
 from api.web.live.places import LivePlaces
 
 
 def test_step_of_clock_prolongs_no_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_s, now_s = time.time(), time.monotonic()
-    rates, places = Rates(2), LivePlaces(8, 8, 1, 1)
+    rates, places = request_rates(2), LivePlaces(8, 8, 1, 1)
     for _ in range(2):
         rates.count("studio")
     places.note_bad("studio")
@@ -29,7 +29,7 @@ def test_step_of_clock_prolongs_no_limit(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_limit_moves_with_requests(monkeypatch: pytest.MonkeyPatch) -> None:
     clock_s = [0.0]
     monkeypatch.setattr("api.web.http.rates.time.monotonic", lambda: clock_s[0])
-    rates = Rates(2)
+    rates = request_rates(2)
     for second in (0.0, 50.0):
         clock_s[0] = second
         rates.count("studio")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 import httpx2
 import pytest
 
-from api.web.http.rates import WrongKeys
+from api.web.http.rates import wrong_key_rates
 from api.web.settings import Settings
 from tests.api.conftest import Live, problem_of, running
 from worker.store.model.rights import Scope
@@ -101,13 +101,13 @@ def test_others_cannot_name_clients(guarded: tuple[Live, dict[str, str]]) -> Non
 def test_wrong_keys_count_for_minute(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = itertools.count(0.0, 25.0)
     monkeypatch.setattr("api.web.http.rates.time.monotonic", lambda: next(clock))
-    wrong_keys = WrongKeys(5)
+    wrong_keys = wrong_key_rates(5)
     left = [wrong_keys.count("192.0.2.1")["RateLimit-Remaining"] for _ in range(5)]  # at 0, 25, 50, 75, 100 s
     assert left == ["4", "3", "2", "2", "2"]
 
 
 def test_networks_are_forgotten_before_they_fill_memory() -> None:
-    wrong_keys = WrongKeys(2, max_networks=100)
+    wrong_keys = wrong_key_rates(2, max_networks=100)
     for k in range(1000):
         wrong_keys.count(f"192.0.2.{k}")
         wrong_keys.count("198.51.100.1") if k == 0 else None

@@ -24,7 +24,7 @@ from starlette.requests import ClientDisconnect
 
 from api.web.settings import Settings
 from api.web.uploads.files import FolderUploads
-from api.web.uploads.spool import Checksum, Writers
+from api.web.uploads.spool import Checksum, UploadSpool
 from tests.api.conftest import Live, problem_of, raw, running
 from tests.waiting import wait_for
 from worker.store.files.disk import DiskSpace
@@ -288,7 +288,7 @@ def test_interrupted_piece_with_checksum_is_dropped(live: Live, tus: Uploader) -
 
 def test_reconnected_client_does_not_wait_for_its_old_request(live: Live, tus: Uploader) -> None:
     address, uploads = tus.begin(5000), live.services.uploads
-    assert isinstance(uploads, Writers)
+    assert isinstance(uploads, UploadSpool)
     with socket.create_connection(live.address[:2], timeout=180) as stalled:
         stalled.sendall(piece_request(live, address, 5000, CONTENT[:1234]))
         deadline_s = time.monotonic() + 120
