@@ -223,11 +223,16 @@ async def _in_turns(threads: FairThreads, owner: str, content: Iterator[bytes]) 
 def file_blocks(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:
     """Read a range of a file in blocks, and close the file."""
     with file:
-        file.seek(sent.start)
-        left = sent.stop - sent.start
-        while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
-            left -= len(block)
-            yield block
+        yield from read_blocks(file, sent)
+
+
+def read_blocks(file: BinaryIO, sent: ByteRange) -> Generator[bytes, None, None]:
+    """Read a range of an open file in blocks."""
+    file.seek(sent.start)
+    left = sent.stop - sent.start
+    while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
+        left -= len(block)
+        yield block
 
 
 _MAX_BYTES = 120

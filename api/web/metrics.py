@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -20,23 +21,17 @@ class LiveMetrics:
     """Open, refused and ended captures, what they received, sent and dropped, and their latency."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
-        self.open = Gauge("live_captures", "Open live captures.", namespace=_PREFIX, registry=registry)
-        self._refused = _counter("live_captures_refused", "Live captures that were not opened.", "code", registry)
-        self._ended = _counter(
-            "live_captures_ended", "Live captures that ended; without a problem: ended.", "code", registry
-        )
-        self.frames = Counter("live_frames", "Frames that clients sent.", namespace=_PREFIX, registry=registry)
-        self.instants = Counter("live_instants", "Instants that were sent.", namespace=_PREFIX, registry=registry)
-        self._dropped = _counter(
-            "live_dropped", "Frames and instants that were dropped because a side was too slow.", "kind", registry
-        )
-        self._latency = Histogram(
-            "live_latency_seconds",
-            "Seconds from the arrival of the frame that makes an instant final until the instant is sent.",
-            namespace=_PREFIX,
-            buckets=_LIVE_SECONDS,
-            registry=registry,
-        )
+        known = _known_to(registry)
+        self.open = Gauge("live_captures", "Open live captures.", **known)
+        self._refused = Counter("live_captures_refused", "Live captures that were not opened.", ("code",), **known)
+        text = "Live captures that ended; without a problem: ended."
+        self._ended = Counter("live_captures_ended", text, ("code",), **known)
+        self.frames = Counter("live_frames", "Frames that clients sent.", **known)
+        self.instants = Counter("live_instants", "Instants that were sent.", **known)
+        text = "Frames and instants that were dropped because a side was too slow."
+        self._dropped = Counter("live_dropped", text, ("kind",), **known)
+        text = "Seconds from the arrival of the frame that makes an instant final until the instant is sent."
+        self._latency = Histogram("live_latency_seconds", text, buckets=_LIVE_SECONDS, **known)
         for kind in ("frame", "instant"):
             self._dropped.labels(kind)
 
@@ -58,35 +53,21 @@ class LiveMetrics:
         self._latency.observe(time.monotonic() - since_s)
 
 
-def _counter(name: str, text: str, label: str, registry: CollectorRegistry) -> Counter:
-    return Counter(name, text, (label,), namespace=_PREFIX, registry=registry)
+def _known_to(registry: CollectorRegistry) -> dict[str, Any]:
+    return {"namespace": _PREFIX, "registry": registry}
 
 
 class RecordingMetrics:
     """Open connections of phones and hosts, their ends by problems, and thumbnails."""
 
     def __init__(self, registry: CollectorRegistry) -> None:
-        self.open = Gauge(
-            "recording_connections",
-            "Open connections of recordings, of phones and hosts.",
-            ("side",),
-            namespace=_PREFIX,
-            registry=registry,
-        )
-        self._ended = Counter(
-            "recording_connections_ended",
-            "Connections of recordings that ended, by the problem; without one: ended.",
-            ("code",),
-            namespace=_PREFIX,
-            registry=registry,
-        )
-        self._thumbnails = Counter(
-            "recording_thumbnails",
-            "Thumbnails of phones that were shown, or dropped because they came too fast.",
-            ("outcome",),
-            namespace=_PREFIX,
-            registry=registry,
-        )
+        known = _known_to(registry)
+        text = "Open connections of recordings, of phones and hosts."
+        self.open = Gauge("recording_connections", text, ("side",), **known)
+        text = "Connections of recordings that ended, by the problem; without one: ended."
+        self._ended = Counter("recording_connections_ended", text, ("code",), **known)
+        text = "Thumbnails of phones that were shown, or dropped because they came too fast."
+        self._thumbnails = Counter("recording_thumbnails", text, ("outcome",), **known)
         for side in ("phone", "host"):
             self.open.labels(side)
 
@@ -120,27 +101,14 @@ class RequestMetrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        labels = ("method", "route", "status")
-        self._requests = Counter("http_requests", "Requests.", labels, namespace=_PREFIX, registry=self.registry)
-        self._seconds = Histogram(
-            "http_request_seconds",
-            "Seconds from the first byte of the request to the last byte of the response.",
-            ("method", "route"),
-            namespace=_PREFIX,
-            buckets=_SECONDS,
-            registry=self.registry,
-        )
-        self.live = LiveMetrics(self.registry)
-        self.recordings = RecordingMetrics(self.registry)
-        self._free_bytes = Gauge(
-            "disk_free_bytes", "Free bytes on the disk of the data folder.", namespace=_PREFIX, registry=self.registry
-        )
-        self._headroom_bytes = Gauge(
-            "disk_headroom_bytes",
-            "Bytes that are kept free on the disk of the data folder.",
-            namespace=_PREFIX,
-            registry=self.registry,
-        )
+        known, labels = _known_to(self.registry), ("method", "route", "status")
+        self._requests = Counter("http_requests", "Requests.", labels, **known)
+        text = "Seconds from the first byte of the request to the last byte of the response."
+        self._seconds = Histogram("http_request_seconds", text, labels[:2], buckets=_SECONDS, **known)
+        self.live, self.recordings = LiveMetrics(self.registry), RecordingMetrics(self.registry)
+        self._free_bytes = Gauge("disk_free_bytes", "Free bytes on the disk of the data folder.", **known)
+        text = "Bytes that are kept free on the disk of the data folder."
+        self._headroom_bytes = Gauge("disk_headroom_bytes", text, **known)
 
     def count(self, method: str, route: str, status: int, seconds: float) -> None:
         """Count a request. ``route`` is the path template, such as ``/v1/jobs/{job_id}``."""

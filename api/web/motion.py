@@ -3,7 +3,7 @@
 import contextlib
 import json
 import struct
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, BinaryIO
 
@@ -13,8 +13,8 @@ from pydantic import Field
 from api.web.auth import JobViewDep
 from api.web.contract.description import Resource, file_content, problems
 from api.web.contract.schemas import FindingOut, ResponseModel
-from api.web.dependencies import JobId, Services, ServicesDep
-from api.web.downloads import Download, Stream, opened
+from api.web.dependencies import JobId, ServicesDep
+from api.web.downloads import Download, Stream, opened, read_blocks
 from api.web.errors import ApiError
 from api.web.http.conditional import ETAG, NOT_MODIFIED, ByteRange, IfNoneMatch, matches, select_range
 from pipeline.core.problems.request_codes import CONFLICT, NOT_FOUND
@@ -195,28 +195,8 @@ class MotionDescription(ResponseModel):
 router = APIRouter(prefix="/v1/jobs/{job_id}/motion", tags=["results"])
 
 MEDIA_TYPE = "application/vnd.multicap.motion"
-_BLOCK_BYTES = 2**18
 _CONTENT = file_content([MEDIA_TYPE])
 _HEADERS = {**ETAG, "Accept-Ranges": {"schema": {"type": "string", "const": "bytes"}}}
-
-
-@dataclass(frozen=True, slots=True)
-class _Person:
-    """Place of a person's records in ``motion.bin``."""
-
-    id: int
-    start_frame: int
-    num_frames: int
-    offset_bytes: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Index:
-    """Places of all records in ``motion.bin``."""
-
-    num_frames: int
-    record_bytes: int
-    people: tuple[_Person, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,8 +309,9 @@ def get_motion(
     if revision is not None and revision != result.revision:
         message = f"The motion is of the revision {result.revision} now, not {revision}."
         raise ApiError(CONFLICT, message, hint="Read the description of the motion again.")
-    index = _read_index(services, description)
-    last = index.num_frames if stop is None else min(stop, index.num_frames)
+    with opened(services, Download.from_result(description)) as described:
+        index = json.load(described)
+    last = index["num_frames"] if stop is None else min(stop, index["num_frames"])
     wanted = None if person is None else frozenset(person)
     parts = list(_parts(index, range(first, max(first, last)), wanted))
     num_bytes = sum(part.num_bytes for part in parts)
@@ -360,26 +341,17 @@ def _headers(etag: str) -> dict[str, str]:
     return {"ETag": etag, "Cache-Control": "private, no-cache"}
 
 
-def _read_index(services: Services, description: Result) -> _Index:
-    with opened(services, Download.from_result(description)) as file:
-        document = json.load(file)
-    people = tuple(
-        _Person(person["id"], person["start_frame"], person["num_frames"], person["offset_bytes"])
-        for person in document["people"]
-    )
-    return _Index(document["num_frames"], document["record"]["num_bytes"], people)
-
-
-def _parts(index: _Index, frames: range, wanted: frozenset[int] | None) -> Iterator[_Part]:
-    """Parts of the answer, in the order of ``motion.bin``."""
-    for person in index.people:
-        first = max(frames.start, person.start_frame)
-        num_frames = min(frames.stop, person.start_frame + person.num_frames) - first
-        if num_frames > 0 and (wanted is None or person.id in wanted):
-            head = struct.pack("<4I", person.id, first, num_frames, index.record_bytes)
+def _parts(index: Mapping[str, Any], frames: range, wanted: frozenset[int] | None) -> Iterator[_Part]:
+    """Parts of the answer, in the order of ``motion.bin``; ``index`` is the description of the motion."""
+    record_bytes = index["record"]["num_bytes"]
+    for person in index["people"]:
+        number, start_frame = person["id"], person["start_frame"]
+        first = max(frames.start, start_frame)
+        num_frames = min(frames.stop, start_frame + person["num_frames"]) - first
+        if num_frames > 0 and (wanted is None or number in wanted):
+            head = struct.pack("<4I", number, first, num_frames, record_bytes)
             yield _Part(len(head), head)
-            start = person.offset_bytes + (first - person.start_frame) * index.record_bytes
-            yield _Part(num_frames * index.record_bytes, start=start)
+            yield _Part(num_frames * record_bytes, start=person["offset_bytes"] + (first - start_frame) * record_bytes)
 
 
 def _content(file: BinaryIO, parts: Sequence[_Part], sent: ByteRange) -> Generator[bytes, None, None]:
@@ -388,16 +360,10 @@ def _content(file: BinaryIO, parts: Sequence[_Part], sent: ByteRange) -> Generat
         for part in parts:
             first, stop = max(sent.start - place, 0), min(sent.stop - place, part.num_bytes)
             place += part.num_bytes
-            if first >= stop:
-                continue
             if part.head is not None:
                 yield part.head[first:stop]
-                continue
-            file.seek(part.start + first)
-            left = stop - first
-            while left > 0 and (block := file.read(min(left, _BLOCK_BYTES))):
-                left -= len(block)
-                yield block
+            elif first < stop:
+                yield from read_blocks(file, ByteRange(part.start + first, part.start + stop))
 
 
 RESOURCE = Resource(router=router)

@@ -21,7 +21,7 @@ from pipeline.core.options.rules import install_command
 from pipeline.core.problems import request_codes
 from worker.store.files.disk import DiskSpace
 from worker.store.model.work import WorkerState, WorkerStatus
-from worker.store.repositories.work.workers import installed_detectors
+from worker.store.repositories.work.workers import shared_by_ready
 from worker.store.spec import JobSpec
 from worker.store.store import JobStore
 
@@ -125,12 +125,7 @@ def _check(name: str, responds: bool) -> ErrorItem | None:
 
 
 # Parts that have not answered in time.
-_SILENT = {
-    "database": _check("database", responds=False),
-    "broker": _check("broker", responds=False),
-    "artifacts": _check("artifacts", responds=False),
-    "disk": _check("disk", responds=False),
-}
+_SILENT = {name: _check(name, responds=False) for name in _UNAVAILABLE}
 
 
 def _database_check(store: JobStore) -> ErrorItem | None:
@@ -144,16 +139,10 @@ def _database_check(store: JobStore) -> ErrorItem | None:
 def _disk_check(disk: DiskSpace) -> ErrorItem | None:
     if disk.has_room():
         return None
-    if not disk.has_inodes:
-        message = "The disk has no inodes left for new files, so nothing new is accepted."
-        return ErrorItem(
-            code=request_codes.STORAGE_FULL, message=message, hint="Delete captures that are no longer needed."
-        )
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
-    message = f"The disk has {left} MiB left; {headroom} MiB are kept free, so nothing new is accepted."
-    return ErrorItem(
-        code=request_codes.STORAGE_FULL, message=message, hint="Delete captures that are no longer needed."
-    )
+    what = f"{left} MiB left; {headroom} MiB are kept free" if disk.has_inodes else "no inodes left for new files"
+    message, hint = f"The disk has {what}, so nothing new is accepted.", "Delete captures that are no longer needed."
+    return ErrorItem(code=request_codes.STORAGE_FULL, message=message, hint=hint)
 
 
 def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
@@ -162,7 +151,7 @@ def _worker_checks(store: JobStore) -> dict[str, ErrorItem | None]:
         workers = store.workers.all()
     except SQLAlchemyError:
         return {}
-    installed = installed_detectors(workers)
+    installed = shared_by_ready(workers, "detectors")
     if installed is None:
         return {"worker": _no_worker_ready(workers)}
     missing = [name for name in JobSpec().config.networks.names if name not in installed]
