@@ -6,24 +6,15 @@ from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 from api.web.calibrations.schemas import CalibrationSpec, Method, UploadedCalibration
-from api.web.dependencies import POLL_AFTER_S, Services
+from api.web.dependencies import Services
 from api.web.errors import ErrorItem, error_item, pointer_to, unprocessable
 from api.web.http.bodies.form import Form
 from api.web.http.bodies.form_kinds import CALIBRATION, IMAGES, INTRINSICS, SPEC, VIDEOS, FormKind
-from api.web.http.idempotency import Answer
 from api.web.jobs.queueing import installed_on_workers
-from api.web.jobs.schemas import JobOut
-from api.web.sessions.intake import (
-    NO_PREFLIGHT,
-    awaited_names,
-    limit_problems,
-    located,
-    preflight_arguments,
-    record_path_in,
-)
+from api.web.sessions import intake as session_intake
 from api.web.sessions.manifest import Manifest
 from api.web.sessions.preflight import CalibrationContents, InvalidFilesError, allowance_s, further_wait_s
-from api.web.sessions.receiving import Sent, adopted, document, sent_form
+from api.web.sessions.receiving import Sent, with_spec
 from api.web.sessions.storing import CheckedSession, stored
 from pipeline.calibration.known_points.point_checks import point_problems
 from pipeline.capture.preflight_record import Preflight
@@ -89,15 +80,7 @@ async def check_calibration(owner: str, services: Services, records: TenantRecor
 
     Raises ``ApiError`` with all that is wrong.
     """
-    if isinstance(sent.content, UploadedCalibration):
-        spec: CalibrationSpec | None = sent.content
-        # Large files are read once, for their digests, in the turn of the checks.
-        form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
-        part, upload_ids, errors = "", sent.content.upload_ids(), [*form.errors]
-    else:
-        form = sent_form(sent)
-        spec, spec_problems = document(sent, SPEC, CalibrationSpec)
-        part, upload_ids, errors = SPEC, (), [*form.errors, *spec_problems]
+    form, spec, part, errors = await with_spec(owner, services, records, sent, CalibrationSpec)
     if spec is None:
         raise unprocessable(errors)
     errors += _method_errors(spec, form, part)
@@ -106,12 +89,12 @@ async def check_calibration(owner: str, services: Services, records: TenantRecor
     if spec.session_id is not None:
         return _of_session(services, records, spec, str(spec.session_id), part)
     if spec.method in {"file", "scene"}:
-        return await _ready(services, owner, sent, form, spec, upload_ids, part)
-    footage = await _checked_footage(services, owner, sent, form, spec, upload_ids, part)
+        return await _ready(services, owner, sent, form, spec, part)
+    footage = await _checked_footage(services, owner, sent, form, spec, part)
     num_cameras = len(footage.preflight.cameras) or len(form.files[VIDEOS])
     name = spec.name or f"{spec.method}, {num_cameras} cameras"
     has_intrinsics, has_photographs = bool(form.files[INTRINSICS]), bool(form.files[IMAGES])
-    return CheckedCalibration(spec, name, footage, has_intrinsics, has_photographs, upload_ids)
+    return CheckedCalibration(spec, name, footage, has_intrinsics, has_photographs, sent.upload_ids)
 
 
 def _of_session(
@@ -194,7 +177,6 @@ async def _ready(
     sent: Sent,
     form: Form,
     spec: CalibrationSpec,
-    upload_ids: tuple[str, ...],
     part: str,
 ) -> CheckedCalibration:
     """Read a calibration file, or make the calibration of a scene, in a child process."""
@@ -220,12 +202,12 @@ async def _ready(
             [
                 item.model_copy(update={"pointer": pointers[item.field], "field": None})
                 if spec.method == "scene" and item.file is None and item.field in pointers
-                else located(item, form, Manifest())
+                else session_intake.located(item, form, Manifest())
                 for item in invalid.errors
             ]
         ) from None
     source |= contents.model_dump(mode="json", exclude={"text", "report"})
-    return CheckedCalibration(spec, spec.name or name, ReadyCalibration(source, contents), upload_ids=upload_ids)
+    return CheckedCalibration(spec, spec.name or name, ReadyCalibration(source, contents), upload_ids=sent.upload_ids)
 
 
 async def _checked_footage(
@@ -234,7 +216,6 @@ async def _checked_footage(
     sent: Sent,
     form: Form,
     spec: CalibrationSpec,
-    upload_ids: tuple[str, ...],
     part: str,
 ) -> CheckedSession:
     """Check the videos or photographs of a calibration, as a session with guessed or given intrinsics."""
@@ -245,14 +226,23 @@ async def _checked_footage(
         units=spec.units,
         frame_rate_hz=_IMAGES_RATE_HZ if photographs else None,
     )
-    if (awaited := awaited_names(sent)) is not None:
+    if (awaited := session_intake.awaited_names(sent)) is not None:
         if spec.method == "people" and (errors := _missing_networks(services)):
             raise unprocessable(errors)
-        return CheckedSession(form, manifest, JobSpec(), NO_PREFLIGHT, record_path_in(sent.folder), (), None, awaited)
+        return CheckedSession(
+            form,
+            manifest,
+            JobSpec(),
+            session_intake.NO_PREFLIGHT,
+            session_intake.record_path_in(sent.folder),
+            (),
+            None,
+            awaited,
+        )
     # From here on photographs are sequences of images.
     footage = replace(form, files={**form.files, VIDEOS: photographs, IMAGES: ()}) if photographs else form
-    record_path = record_path_in(sent.folder)
-    arguments = preflight_arguments(footage, manifest, services.settings.max_session_joints)
+    record_path = session_intake.record_path_in(sent.folder)
+    arguments = session_intake.preflight_arguments(footage, manifest, services.settings.max_session_joints)
     if photographs:
         arguments.append("--photographs")
     if spec.board is not None:
@@ -267,14 +257,14 @@ async def _checked_footage(
             further_wait_s=further_wait_s(footage),
         )
     except InvalidFilesError as invalid:
-        raise unprocessable([located(item, form, manifest) for item in invalid.errors]) from None
-    errors = [error_item(problem) for problem in limit_problems(preflight, services.settings)]
+        raise unprocessable([session_intake.located(item, form, manifest) for item in invalid.errors]) from None
+    errors = [error_item(problem) for problem in session_intake.limit_problems(preflight, services.settings)]
     errors += _point_errors(spec, preflight, part)
     if spec.method == "people":
         errors += _missing_networks(services)
     if errors:
         raise unprocessable(errors)
-    return CheckedSession(footage, manifest, JobSpec(), preflight, record_path, upload_ids)
+    return CheckedSession(footage, manifest, JobSpec(), preflight, record_path, sent.upload_ids)
 
 
 @contextlib.contextmanager
@@ -302,12 +292,6 @@ def begun_calibration(
                 yield work, _begin(services, work, checked, new.id, stages)
     # When the broker is away, the reaper publishes later.
     services.queue.publish()
-
-
-def accepted(job: JobRecord) -> Answer:
-    """Answer with the job of a calibration."""
-    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
-    return Answer(202, headers, JobOut.from_job(job).model_dump_json())
 
 
 def _begin(

@@ -9,26 +9,19 @@ from fastapi import APIRouter, Query, Request, Response, status
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import RecordsDep
-from api.web.calibrations import intake
-from api.web.calibrations.schemas import (
-    MEDIA_TYPES,
-    CalibrationChanges,
-    CalibrationOut,
-    CalibrationPage,
-    Format,
-    RigPlan,
-)
+from api.web.calibrations import intake, schemas
 from api.web.contract.description import RETRY_AFTER, Resource, file_content, location, problems
 from api.web.dependencies import CalibrationId, Cursor, Limit, Services, ServicesDep
 from api.web.errors import ApiError, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
+from api.web.jobs.queueing import accepted
 from api.web.jobs.schemas import JobOut
 from api.web.sessions.preflight import InvalidFilesError
-from api.web.sessions.receiving import Creation, Texts, add_creation, spool_folder
+from api.web.sessions.receiving import Creation, add_creation, spool_folder
 from pipeline.core.problems.request_codes import NOT_FINISHED
-from worker.store.files.unneeded import remove_files
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
@@ -45,7 +38,7 @@ def _add(services: Services, idempotent: IdempotentRequest, checked: intake.Chec
     if isinstance(content, intake.ReadyCalibration):
         return _add_ready(services, idempotent, checked, content)
     with intake.begun_calibration(services, idempotent.records, checked) as (work, job):
-        return idempotent.store(work, intake.accepted(job))
+        return idempotent.store(work, accepted(job))
 
 
 def _add_ready(
@@ -62,7 +55,7 @@ def _add_ready(
         )
         headers = {"Location": f"/v1/calibrations/{calibration.id}"}
         answer = idempotent.store(
-            work, Answer(201, headers, CalibrationOut.from_calibration(calibration).model_dump_json())
+            work, Answer(201, headers, schemas.CalibrationOut.from_calibration(calibration).model_dump_json())
         )
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
@@ -82,19 +75,10 @@ add_creation(
     "",
     "createCalibration",
     Creation(intake.CALIBRATION_FORM, intake.check_calibration, _add),
-    (
-        Texts("Send or make a calibration", _CREATE),
-        Texts(
-            "Send or make a calibration from files",
-            "Send or make a calibration by a form with files; otherwise as `createCalibration`.",
-        ),
-        Texts(
-            "Send or make a calibration from uploads",
-            "Send or make a calibration by JSON that names uploads, or a session; otherwise as `createCalibration`.",
-        ),
-    ),
+    "Send or make a calibration",
+    _CREATE,
     status_code=status.HTTP_201_CREATED,
-    response_model=CalibrationOut,
+    response_model=schemas.CalibrationOut,
     responses={
         201: {"headers": {"Location": location("calibration")}},
         202: {
@@ -108,12 +92,12 @@ add_creation(
 
 
 @router.get("", summary="List calibrations", responses=problems(422))
-def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> CalibrationPage:
+def list_calibrations(records: RecordsDep, limit: Limit = 50, cursor: Cursor = None) -> schemas.CalibrationPage:
     """List calibrations, the newest first."""
     found = records.calibrations.page(limit=limit, after=str(cursor) if cursor else None)
     next_cursor = found[-1].id if len(found) == limit else None
-    return CalibrationPage(
-        calibrations=tuple(CalibrationOut.from_calibration(calibration) for calibration in found),
+    return schemas.CalibrationPage(
+        calibrations=tuple(schemas.CalibrationOut.from_calibration(calibration) for calibration in found),
         next_cursor=next_cursor,
     )
 
@@ -132,7 +116,7 @@ async def plan_rig(
     calibration_id: Annotated[
         UUID | None, Query(description="Calibration of cameras that stand already; the room's middle is its origin.")
     ] = None,
-) -> RigPlan:
+) -> schemas.RigPlan:
     """Plan a rig: which part of a room it covers, how many cameras see a joint, and the expected error by place."""
     text = None
     if calibration_id is not None:
@@ -145,18 +129,18 @@ async def plan_rig(
         "size_px": (1920, 1080),
         "people": people,
     }
-    return RigPlan.model_validate(await _on_request(request, services, "plan", arguments, text))
+    return schemas.RigPlan.model_validate(await _on_request(request, services, "plan", arguments, text))
 
 
 @router.get(
     "/{calibration_id}",
     summary="Read a calibration",
-    response_model=CalibrationOut,
+    response_model=schemas.CalibrationOut,
     responses={200: {"headers": ETAG}, **NOT_MODIFIED, **problems(404)},
 )
 def get_calibration(calibration_id: CalibrationId, records: RecordsDep, if_none_match: IfNoneMatch = None) -> Response:
     """Read a calibration: its state, its cameras and its report."""
-    return conditional(CalibrationOut.from_calibration(records.calibrations.get(calibration_id)), if_none_match)
+    return conditional(schemas.CalibrationOut.from_calibration(records.calibrations.get(calibration_id)), if_none_match)
 
 
 @router.get(
@@ -177,7 +161,7 @@ async def get_calibration_file(
     calibration_id: CalibrationId,
     services: ServicesDep,
     records: RecordsDep,
-    file_format: Annotated[Format, Query(alias="format", description="Format of the file.")] = "multicap",
+    file_format: Annotated[schemas.Format, Query(alias="format", description="Format of the file.")] = "multicap",
 ) -> Response:
     """Download a calibration for Multicap or another program, in the unit and the axes of the program."""
     name, text = await run_in_threadpool(_stored, records, calibration_id)
@@ -185,7 +169,7 @@ async def get_calibration_file(
     if file_format != "multicap":
         answer = await _on_request(request, services, "file", {"to": file_format}, text)
         content = base64.b64decode(answer["content"])
-    ending, media_type = MEDIA_TYPES[file_format]
+    ending, media_type = schemas.MEDIA_TYPES[file_format]
     quoted = quote(f"{name}.{ending}", safe="")
     headers = {"Cache-Control": "private, no-cache", "Content-Disposition": f"attachment; filename*=utf-8''{quoted}"}
     return Response(content, headers=headers, media_type=media_type)
@@ -218,18 +202,18 @@ async def _on_request(
 @small.patch(
     "/{calibration_id}",
     summary="Rename a calibration",
-    response_model=CalibrationOut,
+    response_model=schemas.CalibrationOut,
     responses={200: {"headers": ETAG}, **problems(400, 404, 412, 413, 415, 422)},
 )
 def rename_calibration(
-    calibration_id: CalibrationId, changes: CalibrationChanges, records: RecordsDep, if_match: IfMatch = None
+    calibration_id: CalibrationId, changes: schemas.CalibrationChanges, records: RecordsDep, if_match: IfMatch = None
 ) -> Response:
     """Rename a calibration. With `If-Match`, only an unchanged one."""
     with records.transaction() as work:
         if if_match is not None:
-            require_match(CalibrationOut.from_calibration(work.calibrations.get(calibration_id)), if_match)
+            require_match(schemas.CalibrationOut.from_calibration(work.calibrations.get(calibration_id)), if_match)
         calibration = work.calibrations.rename(calibration_id, changes.name)
-    return conditional(CalibrationOut.from_calibration(calibration), None)
+    return conditional(schemas.CalibrationOut.from_calibration(calibration), None)
 
 
 @router.delete(

@@ -12,7 +12,7 @@ from api.web.errors import ErrorItem, pointer_to, unprocessable
 from api.web.http.bodies.form import ReceivedFile
 from api.web.http.bodies.form_kinds import CHARACTER, SPEC, FormKind
 from api.web.sessions import preflight
-from api.web.sessions.receiving import Sent, adopted, document, sent_form, spool_folder
+from api.web.sessions.receiving import Sent, spool_folder, with_spec
 from pipeline.core.problems.code_group import Code
 from pipeline.core.problems.request_codes import MISSING_PART
 from pipeline.core.problems.session_codes import BONES_INVALID
@@ -44,17 +44,10 @@ class CheckedCharacter:
 
 async def check_character(owner: str, services: Services, records: TenantRecords, sent: Sent) -> CheckedCharacter:
     """Check a character: its file and the corrections of its bones. Raises ``ApiError``: with all that is wrong."""
-    if isinstance(sent.content, UploadedCharacter):
-        spec: CharacterSpec | None = sent.content
-        # Large files are read once, for their digests, in the turn of the checks.
-        form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
-        pointer, upload_ids, errors = pointer_to(_BONES), sent.content.upload_ids(), [*form.errors]
-    else:
-        form = sent_form(sent)
-        spec, spec_problems = document(sent, SPEC, CharacterSpec)
-        pointer, upload_ids, errors = pointer_to(SPEC, _BONES), (), [*form.errors, *spec_problems]
+    form, spec, part, errors = await with_spec(owner, services, records, sent, CharacterSpec)
     if spec is None or errors:
         raise unprocessable(errors)
+    pointer = pointer_to(*filter(None, (part, _BONES)))
     (file,) = form.files[CHARACTER]
     wait_s = preflight.character_wait_s(file.num_bytes)
     try:
@@ -63,7 +56,7 @@ async def check_character(owner: str, services: Services, records: TenantRecords
         )
     except preflight.InvalidFilesError as invalid:
         raise unprocessable([_located(item, pointer, pointer_to(CHARACTER)) for item in invalid.errors]) from None
-    return CheckedCharacter(spec, file, contents, upload_ids)
+    return CheckedCharacter(spec, file, contents, sent.upload_ids)
 
 
 @contextlib.contextmanager

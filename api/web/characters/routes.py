@@ -14,9 +14,9 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.sessions.preflight import CharacterContents
-from api.web.sessions.receiving import Creation, Texts, add_creation
-from worker.store.files.unneeded import remove_files
+from api.web.sessions.receiving import Creation, add_creation
 from worker.store.model.character_records import Character
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.tenant_records import TenantRecords
 
 router = APIRouter(prefix="/v1/characters", tags=["characters"])
@@ -47,16 +47,8 @@ add_creation(
     "",
     "createCharacter",
     Creation(intake.CHARACTER_FORM, intake.check_character, _add),
-    (
-        Texts("Send a character", _CREATE),
-        Texts(
-            "Send a character from files", "Send a character by a form with its file; otherwise as `createCharacter`."
-        ),
-        Texts(
-            "Send a character from uploads",
-            "Send a character by JSON that names an upload; otherwise as `createCharacter`.",
-        ),
-    ),
+    "Send a character",
+    _CREATE,
     status_code=status.HTTP_201_CREATED,
     response_model=CharacterOut,
     responses={201: {"headers": {"Location": location("character")}}, **problems(400, 408, 409, 413, 415, 422, 507)},

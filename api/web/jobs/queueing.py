@@ -14,9 +14,11 @@ from uuid import UUID
 import structlog
 
 from api.web.characters.intake import character_download
-from api.web.dependencies import Services
+from api.web.dependencies import POLL_AFTER_S, Services
 from api.web.downloads import opened
 from api.web.errors import ApiError
+from api.web.http.idempotency import Answer
+from api.web.jobs.schemas import JobOut
 from pipeline.capture.preflight_record import Preflight
 from pipeline.core.errors import Problem
 from pipeline.core.findings import CERTAIN
@@ -35,7 +37,7 @@ from worker.store.model.job_records import JobRecord, job_config
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.work import StagePlan
 from worker.store.outages import is_perhaps_recorded
-from worker.store.repositories.work.workers import installed_bodies, installed_detectors, writable_formats
+from worker.store.repositories.work.workers import shared_by_ready
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
@@ -69,8 +71,8 @@ def installed_on_workers(services: Services, *, has_videos: bool) -> Installed:
     Only sessions of videos need networks.
     """
     workers = services.store.workers.all()
-    networks = installed_detectors(workers) if has_videos else None
-    return Installed(networks, installed_bodies(workers), writable_formats(workers))
+    networks = shared_by_ready(workers, "detectors") if has_videos else None
+    return Installed(networks, shared_by_ready(workers, "bodies"), shared_by_ready(workers, "formats"))
 
 
 def spec_limits(services: Services, records: TenantRecords, *, has_videos: bool) -> SpecLimits:
@@ -227,6 +229,12 @@ def copied_character(
                 undo.pop_all()
             raise
         undo.pop_all()
+
+
+def accepted(job: JobRecord) -> Answer:
+    """Answer that a job is queued."""
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
+    return Answer(202, headers, JobOut.from_job(job).model_dump_json())
 
 
 def queue_proxies(work: TenantRecords, session: QueuedSession) -> None:

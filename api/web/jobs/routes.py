@@ -9,7 +9,7 @@ from starlette.routing import BaseRoute
 
 from api.web.auth import JobViewDep, RecordsDep, ViewerDep
 from api.web.contract.description import RETRY_AFTER, Resource, Responses, location, problems
-from api.web.dependencies import POLL_AFTER_S, Cursor, JobId, Limit, Services, ServicesDep, SessionId
+from api.web.dependencies import Cursor, JobId, Limit, Services, ServicesDep, SessionId
 from api.web.errors import ApiError, error_item, unprocessable
 from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfNoneMatch, conditional
@@ -17,16 +17,16 @@ from api.web.http.idempotency import Answer, IdempotentRequest, IdempotentReques
 from api.web.jobs import queueing
 from api.web.jobs.schemas import AttemptList, AttemptOut, JobEnded, JobOut, JobPage
 from api.web.sessions.intake import check
-from api.web.sessions.receiving import Creation, Texts, add_creation
+from api.web.sessions.receiving import Creation, add_creation
 from api.web.sessions.schemas import CAPTURE_FORM
 from api.web.sessions.storing import CheckedSession, session_and_job
 from pipeline.core.options.rules import installation_problems
 from pipeline.core.problems.request_codes import CONFLICT
 from worker.run import tracing
 from worker.run.planning import has_videos, plan_again, plan_remake, plan_visuals
-from worker.store.files.unneeded import remove_files
-from worker.store.model.job_records import JobKind, JobRecord
+from worker.store.model.job_records import JobKind
 from worker.store.model.states import RETRYABLE, JobState
+from worker.store.repositories.work.expiry import remove_files
 from worker.store.spec import FilesAdded, JobSpec
 from worker.store.tenant_records import TenantRecords
 
@@ -95,14 +95,14 @@ def create_job(
             raise unprocessable([error_item(problem) for problem in found])
         services.disk.require_room()
         with queueing.queued_job(services, idempotent.records, session, spec) as (work, job):
-            answer = idempotent.store(work, accepted(job))
+            answer = idempotent.store(work, queueing.accepted(job))
     return answer.response()
 
 
 def _add_session_and_job(services: Services, idempotent: IdempotentRequest, checked: CheckedSession) -> Answer:
     """Store the files of a session, and record both or neither."""
     with session_and_job(services, idempotent.records, checked) as (work, job):
-        return idempotent.store(work, accepted(job))
+        return idempotent.store(work, queueing.accepted(job))
 
 
 _CREATE = """\
@@ -116,22 +116,9 @@ add_creation(
     "/jobs",
     "createSessionAndJob",
     Creation(CAPTURE_FORM, check, _add_session_and_job),
-    (
-        Texts(
-            "Send and reconstruct a session", _CREATE, job_ended_callbacks("jobEndedOfSession", "/spec/callback_url")
-        ),
-        Texts(
-            "Reconstruct a session's files",
-            "Send a session as a form with its files, and reconstruct it; otherwise as `createSessionAndJob`.",
-            job_ended_callbacks("jobEndedOfFiles", "/spec/callback_url"),
-        ),
-        Texts(
-            "Reconstruct a session's uploads",
-            "Send a session as JSON that names finished uploads, and reconstruct it; "
-            "otherwise as `createSessionAndJob`.",
-            job_ended_callbacks("jobEndedOfUploads", "/spec/callback_url"),
-        ),
-    ),
+    "Send and reconstruct a session",
+    _CREATE,
+    lambda sent: job_ended_callbacks(f"jobEndedOf{sent or 'Session'}", "/spec/callback_url"),
     status_code=status.HTTP_202_ACCEPTED,
     response_model=JobOut,
     responses={**ACCEPTED, **problems(400, 408, 409, 410, 413, 415, 422, 507)},
@@ -202,7 +189,7 @@ def _cancel(services: Services, idempotent: IdempotentRequest, job_id: str) -> R
 
 def _canceled(idempotent: IdempotentRequest, job_id: str) -> Answer:
     with idempotent.records.transaction() as work:
-        return idempotent.store(work, accepted(work.jobs.cancel(job_id)))
+        return idempotent.store(work, queueing.accepted(work.jobs.cancel(job_id)))
 
 
 @small.post(
@@ -227,7 +214,7 @@ def retry_job(job_id: JobId, services: ServicesDep, idempotent: IdempotentReques
         provider = services.store.workers.provider(job.provider)
         stages = plan_again(session, job, provider)
         with idempotent.records.transaction() as work:
-            answer = idempotent.store(work, accepted(work.jobs.retry(job_id, stages, tracing.current())))
+            answer = idempotent.store(work, queueing.accepted(work.jobs.retry(job_id, stages, tracing.current())))
     services.queue.publish()
     return answer.response()
 
@@ -253,7 +240,7 @@ def make_job_visuals(job_id: JobId, services: ServicesDep, idempotent: Idempoten
         making, stages = plan_visuals(session, job)
         with idempotent.records.transaction() as work:
             made = work.visuals.add(job_id, making, stages, job.revision, tracing.current())
-            answer = idempotent.store(work, accepted(made))
+            answer = idempotent.store(work, queueing.accepted(made))
     services.queue.publish()
     return answer.response()
 
@@ -295,7 +282,7 @@ def add_job_files(
         ):
             plan = partial(plan_remake, session)
             remade = work.jobs.remake(job_id, plan, added, moved=moved, trace=tracing.current())
-            answer = idempotent.store(work, accepted(remade))
+            answer = idempotent.store(work, queueing.accepted(remade))
     services.queue.publish()
     return answer.response()
 
@@ -322,12 +309,6 @@ def _page(
     jobs = records.jobs.page(state=state, limit=limit, after=after, session_id=session_id, kind=kind)
     next_cursor = jobs[-1].id if len(jobs) == limit else None
     return JobPage(jobs=tuple(JobOut.from_job(job) for job in jobs), next_cursor=next_cursor)
-
-
-def accepted(job: JobRecord) -> Answer:
-    """Answer that a job is queued."""
-    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": str(POLL_AFTER_S)}
-    return Answer(202, headers, JobOut.from_job(job).model_dump_json())
 
 
 CREATION = Resource(router=router, forms=(CAPTURE_FORM,))

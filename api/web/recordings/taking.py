@@ -17,6 +17,7 @@ from api.web.http.bodies.form import Form, Parts
 from api.web.http.bodies.form_kinds import CALIBRATION_ID, MANIFEST, SPEC, VIDEOS, FormKind
 from api.web.http.bodies.validation import NO_PLACES
 from api.web.http.idempotency import Answer, IdempotentRequest
+from api.web.jobs.queueing import accepted
 from api.web.recordings.schemas import TakeCalibrationSpec, TakeSessionOut, TakeSessionSpec
 from api.web.sessions.intake import check
 from api.web.sessions.manifest import CameraManifest, Manifest
@@ -254,7 +255,7 @@ def _begin(
 ) -> Answer:
     with intake.begun_calibration(services, idempotent.records, checked) as (work, job):
         work.recordings.use_take(recording.id, take.number, calibration_id=job.id)
-        return idempotent.store(work, intake.accepted(job))
+        return idempotent.store(work, accepted(job))
 
 
 def _made(session_id: str, job_id: str | None, checked: CheckedSession, videos: TakeVideos | None) -> Answer:

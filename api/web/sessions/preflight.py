@@ -16,11 +16,12 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Any, Literal, TypeVar
 
 import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from api.web.characters.schemas import BoneOut, JointOut, Method
 from api.web.errors import ApiError, ErrorItem
 from api.web.http.bodies import form_kinds
 from api.web.http.bodies.form import Form
@@ -67,78 +68,53 @@ def character_wait_s(num_bytes: int) -> float:
     return num_bytes * _S_PER_SENT_BYTE
 
 
-class CharacterJoint(BaseModel):
-    """Joint of the skeleton, and the character's bone for it.
-
-    ``joint``, ``bone``, ``recognised_by``: see ``pipeline.export.character.mapping.BoneMapping``; ``None``: the joint
-    has no bone. ``is_required``: whether each character has such a bone.
-    """
+class _Printed(BaseModel):
+    """Base of what the programs print."""
 
     model_config = ConfigDict(frozen=True)
 
-    joint: str
-    bone: str | None
-    recognised_by: Literal["vrm", "names", "shape", "table"] | None
-    is_required: bool
+
+_Contents = TypeVar("_Contents", bound=_Printed)
 
 
-class SkeletonBone(BaseModel):
-    """Bone in the rest pose, in the file's unit, Z up, facing -Y; ``parent`` is the next bone above it."""
-
-    model_config = ConfigDict(frozen=True)
-
-    bone: str
-    parent: str | None
-    position: tuple[float, float, float]
-
-
-class CharacterFacts(BaseModel):
+class CharacterFacts(_Printed):
     """Facts about a character's file."""
 
-    model_config = ConfigDict(frozen=True)
-
     format: Literal["GLB", "VRM 0.x", "VRM 1.0", "FBX"]
-    method: Literal["vrm", "names", "shape", "table"]
+    method: Method
     stature: float  # Height in the rest pose, in the file's unit; of FBX in metres
     num_bones: int
     num_vertices: int  # Of meshes that bones move
 
 
-class CharacterBones(BaseModel):
+class CharacterBones(_Printed):
     """Bones of a character, as ``mapping.BoneMapping`` says; lists of bones are their names."""
 
-    model_config = ConfigDict(frozen=True)
-
-    joints: tuple[CharacterJoint, ...]
+    joints: tuple[JointOut, ...]
     spine: tuple[str, ...]
     neck: tuple[str, ...]
     twists: dict[str, str]
     at_rest: tuple[str, ...]
     warnings: tuple[Finding, ...]
-    skeleton: tuple[SkeletonBone, ...]
+    skeleton: tuple[BoneOut, ...]
 
 
 class CharacterContents(CharacterFacts, CharacterBones):
     """Contents of a character's file, as the program prints them."""
 
 
-class CalibrationContents(BaseModel):
+class CalibrationContents(_Printed):
     """Contents of a calibration file, as the program prints them.
 
-    - ``format``, ``units``, ``axes``: see ``pipeline.calibration.contents.CameraFile``.
-    - ``warnings``: findings about the file.
-    - ``text``: the calibration in metres, in Multicap's format.
-    - ``report``: report of a calibration that was made, see ``pipeline.calibration.report``; ``None`` of a file.
+    ``format``, ``units``, ``axes``: see ``pipeline.calibration.contents.CameraFile``.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     format: str
     units: str
     axes: str
     warnings: tuple[Finding, ...]
-    text: str
-    report: dict[str, Any] | None = None
+    text: str  # The calibration in metres, in Multicap's format
+    report: dict[str, Any] | None = None  # Of a calibration that was made, see ``pipeline.calibration.report``
 
 
 def run_program(
@@ -235,28 +211,8 @@ class PreflightProgram:
         return session
 
     def read_calibration(self, arguments: Sequence[str], folder: Path) -> CalibrationContents:
-        """Read a calibration.
-
-        Parameters
-        ----------
-        arguments
-            File and choices, as arguments of the program.
-        folder
-            Folder for temporary files, which the caller removes.
-
-        Returns
-        -------
-            What the program printed.
-
-        Raises
-        ------
-        InvalidFilesError, ApiError, OSError
-            As ``check``.
-        """
-        try:
-            return CalibrationContents.model_validate_json(self._answer([*self.command, *arguments], folder, 0.0))
-        except ValidationError:
-            raise _failed() from None
+        """Read a calibration: ``arguments`` are its file and choices; ``folder`` and errors as ``calibration_task``."""
+        return self._contents(CalibrationContents, [*self.command, *arguments], folder, 0.0)
 
     def calibration_task(self, task: str, arguments: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         """Do a task of ``pipeline.calibration.on_request``, with the arguments of its function.
@@ -272,19 +228,21 @@ class PreflightProgram:
     def read_character(self, file: Path, corrections: Mapping[str, str | None], folder: Path) -> CharacterContents:
         """Read a character.
 
-        ``corrections``: bones by joint, in place of the recognised bones; ``None``: the joint has no bone. ``folder``:
-        folder for temporary files, which the caller removes. Returns what the program printed. Raises
-        ``InvalidFilesError``, ``ApiError``, ``OSError`` as ``check``.
+        ``corrections``: bones by joint, in place of the recognised bones; ``None``: the joint has no bone. ``folder``
+        and errors as ``calibration_task``.
         """
         allowance_s = file.stat().st_size * _S_PER_CHARACTER_BYTE
         with tempfile.NamedTemporaryFile(dir=folder) as table:
             table.write(json.dumps({"bones": dict(corrections)}).encode())
             table.flush()
             command = [*self.character_command, str(file), "--bones", table.name]
-            try:
-                return CharacterContents.model_validate_json(self._answer(command, folder, allowance_s))
-            except ValidationError:
-                raise _failed() from None
+            return self._contents(CharacterContents, command, folder, allowance_s)
+
+    def _contents(self, model: type[_Contents], command: Sequence[str], folder: Path, allowance_s: float) -> _Contents:
+        try:
+            return model.model_validate_json(self._answer(command, folder, allowance_s))
+        except ValidationError:
+            raise _failed() from None
 
     def _answer(self, command: Sequence[str], folder: Path, allowance_s: float) -> bytes:
         """Run a program, and return what it prints about usable files."""
@@ -313,9 +271,7 @@ class InvalidFilesError(Exception):
         self.errors = tuple(errors)
 
 
-class _Problems(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
+class _Problems(_Printed):
     problems: tuple[ErrorItem, ...]
 
 

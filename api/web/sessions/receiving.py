@@ -51,6 +51,11 @@ class Sent:
     parts: object  # JSON of the content, for the fingerprint of the request
     places: FieldPlaces  # Places of the fields of the body, for hints
 
+    @property
+    def upload_ids(self) -> tuple[str, ...]:
+        """Ids of the uploads that it names; none of a form."""
+        return () if isinstance(self.content, Form) else self.content.upload_ids()
+
 
 @contextlib.asynccontextmanager
 async def received(
@@ -121,6 +126,23 @@ def document(sent: Sent, part: str, model: type[_Model]) -> tuple[_Model | None,
         return model.model_validate_json(sent_form(sent).documents.get(part, b"{}")), []
     except ValidationError as error:
         return None, model_items(error, model, sent.places, part)
+
+
+async def with_spec(
+    owner: str, services: Services, records: TenantRecords, sent: Sent, model: type[_Model]
+) -> tuple[Form, _Model | None, str, list[ErrorItem]]:
+    """Form of what was sent with its choices, the part that leads to these in the request, and everything wrong.
+
+    JSON that names uploads has the fields of the choices itself.
+    """
+    if isinstance(sent.content, Form):
+        spec, problems = document(sent, form_kinds.SPEC, model)
+        return sent.content, spec, form_kinds.SPEC, [*sent.content.errors, *problems]
+    if not isinstance(sent.content, model):
+        raise TypeError("the uploads have other choices")
+    # Large files are read once, for their digests, in the turn of the checks.
+    form = await services.checks.run(owner, adopted, services, records, sent, sent.content)
+    return form, sent.content, "", [*form.errors]
 
 
 def _fingerprint_parts(form: Form) -> object:
@@ -233,11 +255,11 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
 
 
 _Checked = TypeVar("_Checked")
-# Ends of paths and of ids of operations, by the bodies that they take.
+# What is sent, as ids of operations have it, by the bodies that they take.
 _WAYS = (
-    ("", "", form_kinds.EITHER_TYPE),
-    ("/from-files", "FromFiles", (form_kinds.FORM_TYPE,)),
-    ("/from-uploads", "FromUploads", (form_kinds.JSON_TYPE,)),
+    ("", form_kinds.EITHER_TYPE, ""),
+    ("Files", (form_kinds.FORM_TYPE,), "Takes a form with the files alone"),
+    ("Uploads", (form_kinds.JSON_TYPE,), "Takes JSON alone that names finished uploads"),
 )
 
 
@@ -263,29 +285,22 @@ class Creation(Generic[_Checked]):
         return answer.response()
 
 
-@dataclass(frozen=True, slots=True)
-class Texts:
-    """Documentation of a route, with the webhooks that it causes."""
-
-    summary: str
-    description: str
-    callbacks: list[BaseRoute] | None = None
-
-
 def add_creation(
     router: APIRouter,
     path: str,
     operation_id: str,
     creation: Creation[Any],
-    texts: tuple[Texts, Texts, Texts],
+    summary: str,
+    description: str,
+    callbacks: Callable[[str], list[BaseRoute]] = lambda _: [],
     **declared: Any,
 ) -> None:
     """Add an operation that takes a form with files or JSON that names uploads, and routes for one of these alone.
 
     Generators of clients need one kind of body for each operation.
 
-    ``texts``: documentation of the routes for both, for the form, and for JSON. ``declared``: what all three declare,
-    as arguments of FastAPI's ``add_api_route``.
+    ``callbacks``: webhooks of a route, by what is sent: nothing, ``Files`` or ``Uploads``. ``declared``: what all three
+    declare, as arguments of FastAPI's ``add_api_route``.
     """
 
     def endpoint(types: Collection[str]) -> Callable[..., Awaitable[Response]]:
@@ -294,15 +309,15 @@ def add_creation(
 
         return create
 
-    for (path_end, id_end, types), text in zip(_WAYS, texts, strict=True):
+    for sent, types, difference in _WAYS:
         router.add_api_route(
-            path + path_end,
+            f"{path}/from-{sent.lower()}" if sent else path,
             endpoint(types),
             methods=["POST"],
-            operation_id=operation_id + id_end,
-            summary=text.summary,
-            description=text.description,
-            callbacks=text.callbacks,
+            operation_id=f"{operation_id}From{sent}" if sent else operation_id,
+            summary=f"{summary} from {sent.lower()}" if sent else summary,
+            description=f"{difference}; otherwise as `{operation_id}`." if sent else description,
+            callbacks=callbacks(sent),
             openapi_extra=request_body(creation.form, types),
             **declared,
         )

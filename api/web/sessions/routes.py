@@ -11,12 +11,12 @@ from api.web.http.bodies.reading import SmallBodyRoute
 from api.web.http.conditional import ETAG, NOT_MODIFIED, IfMatch, IfNoneMatch, conditional, require_match
 from api.web.http.idempotency import Answer, IdempotentRequest
 from api.web.sessions.intake import check
-from api.web.sessions.receiving import Creation, Texts, add_creation
+from api.web.sessions.receiving import Creation, add_creation
 from api.web.sessions.schemas import SESSION_FORM, SessionChanges, SessionOut, SessionPage
 from api.web.sessions.storing import CheckedSession, stored
 from api.web.uploads.intake import FETCH_RETRY_S
-from worker.store.files.unneeded import remove_files
 from worker.store.model.states import JobState
+from worker.store.repositories.work.expiry import remove_files
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
 # A route that takes JSON; the form has its own limits.
@@ -52,14 +52,8 @@ add_creation(
     "",
     "createSession",
     Creation(SESSION_FORM, check, _add_session),
-    (
-        Texts("Send a session", _CREATE),
-        Texts("Send a session's files", "Send a session as a form with its files; otherwise as `createSession`."),
-        Texts(
-            "Send a session's uploads",
-            "Send a session as JSON that names finished uploads; otherwise as `createSession`.",
-        ),
-    ),
+    "Send a session",
+    _CREATE,
     status_code=status.HTTP_201_CREATED,
     response_model=SessionOut,
     responses={
