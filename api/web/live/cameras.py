@@ -1,11 +1,14 @@
 """Live captures whose cameras the service opens: rules of their addresses, and their process."""
 
 import asyncio
+import contextlib
 import dataclasses
 import ipaddress
 import json
+import socket
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,19 +17,21 @@ from urllib.parse import SplitResult, urlsplit
 from starlette.concurrency import run_in_threadpool
 
 from api.web.auth import Caller
+from api.web.dependencies import canonical_id
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem
 from api.web.live.connection import LiveConnection
 from api.web.live.forks import start_limit_s
 from api.web.live.intake import read_end
 from api.web.live.keeping import KeptPackets
-from api.web.live.phones import WrongSourceError, phones_taken, require_phone
 from api.web.live.problems import failed, refused
 from api.web.live.process import CaptureProcess, camera_process
 from api.web.live.relay import Outgoing, all_or_first_error
 from api.web.live.schemas import LiveCamerasStart, LivePatternStart, LiveReady, LiveRecordStart
+from api.web.recordings.rooms import LiveTaker, Size
 from api.web.sessions.manifest import CameraManifest
 from api.web.settings import Settings
+from pipeline.core.errors import listed_names
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
 from pipeline.core.problems.request_codes import LIVE_FIELDS, MISSING_FIELD
 from pipeline.run.live.cameras.sources import (
@@ -40,6 +45,8 @@ from pipeline.run.live.cameras.sources import (
 from pipeline.run.live.packets import CaptureAnswer
 from worker.run.webhooks.addresses import url_fault
 from worker.run.webhooks.sender import RefusedAddressError, resolve
+from worker.store.errors import NotFound
+from worker.store.tenant_records import TenantRecords
 
 _RESOLVE_S = 10.0  # of all names of a start
 _PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443}
@@ -271,3 +278,52 @@ class _CameraRelay(Outgoing):
         if isinstance(self._start, LiveCamerasStart) and self._start.keep:
             self.kept = KeptPackets(self._connection.services, self._folder, ready.layout)
         return ready.model_dump_json().encode()
+
+
+class WrongSourceError(Exception):
+    """A source of a camera can't be opened: code, message and hint."""
+
+
+def require_phone(records: TenantRecords, source: str) -> None:
+    """Require that a source, ``phone://RECORDING_ID/NUMBER``, is a phone of the tenant; raises ``WrongSourceError``."""
+    try:
+        recording_id, number = _parts(source)
+        phones = records.recordings.get(recording_id).phones
+    except NotFound:
+        message, hint = "There is no such recording, or it has ended.", "Choose a phone of a recording."
+        raise WrongSourceError(CAMERA_SOURCE, message, hint) from None
+    known = {str(phone.number): phone.name for phone in phones if not phone.is_removed}
+    if number not in known:
+        names = listed_names([f"{one} ({name})" for one, name in known.items()])
+        hint = f"Its phones are {names}." if known else "Let phones join it first."
+        raise WrongSourceError(CAMERA_SOURCE, "The recording has no such phone.", hint)
+
+
+@contextlib.asynccontextmanager
+async def phones_taken(
+    connection: LiveConnection, sources: Sequence[CameraSource], sizes_px: Mapping[str, Size]
+) -> AsyncIterator[list[CameraSource]]:
+    """Have pictures of phones taken during the block; the sources with the sockets that bring them.
+
+    ``sizes_px``: sizes at which cameras were calibrated, by their names.
+    """
+    opened = list(sources)
+    async with contextlib.AsyncExitStack() as held:
+        for place, source in enumerate(sources):
+            if source.kind != "phone":
+                continue
+            recording_id, number = _parts(source.address)
+            # Packets are whole or are not sent at all, so that a decoder that is started again finds its place.
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            held.enter_context(ours)
+            held.enter_context(theirs)
+            room = await held.enter_async_context(connection.services.rooms.entered(connection.records, recording_id))
+            held.enter_context(room.taking(LiveTaker(int(number), sizes_px.get(source.camera), ours)))
+            opened[place] = replace(source, pictures=theirs.fileno())
+        yield opened
+
+
+def _parts(source: str) -> tuple[str, str]:
+    """Id of the recording and number of the phone, as it was stated; raises ``NotFound`` for no id."""
+    recording_id, _, number = source.partition("://")[2].partition("/")
+    return canonical_id(recording_id, "recording"), number

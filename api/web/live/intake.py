@@ -10,17 +10,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from api.web.errors import ErrorItem, pointer_to
 from api.web.http.websockets import WRONG_FIELDS, SocketProblem, wrong_message
+from api.web.live import schemas
 from api.web.live.problems import too_large
-from api.web.live.schemas import (
-    POINTS,
-    Layout,
-    LiveCamerasStart,
-    LiveEnd,
-    LiveKeypoints,
-    LivePatternStart,
-    LiveRecordStart,
-    LiveStart,
-)
 from pipeline.core.problems import request_codes
 from pipeline.run.live.packets import MAX_PX, MAX_TIME_S, KeypointsHead, encode_keypoints
 
@@ -28,7 +19,7 @@ _MAX_SHOWN = 40
 _MAX_AHEAD_S = 60.0
 
 
-AnyStart = LiveStart | LiveCamerasStart | LivePatternStart | LiveRecordStart
+AnyStart = schemas.LiveStart | schemas.LiveCamerasStart | schemas.LivePatternStart | schemas.LiveRecordStart
 """First message of a client."""
 _STARTS: TypeAdapter[AnyStart] = TypeAdapter(Annotated[AnyStart, Field(discriminator="type")])
 
@@ -38,9 +29,9 @@ def read_start(text: str) -> AnyStart:
     try:
         start = _STARTS.validate_json(text)
     except ValidationError:
-        models = (LiveStart, LiveCamerasStart, LivePatternStart, LiveRecordStart)
+        models = (schemas.LiveStart, schemas.LiveCamerasStart, schemas.LivePatternStart, schemas.LiveRecordStart)
         raise wrong_message(text, models, request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
-    if isinstance(start, LivePatternStart | LiveRecordStart):
+    if isinstance(start, schemas.LivePatternStart | schemas.LiveRecordStart):
         return start
     given = [name for name in ("calibration", "calibration_id") if getattr(start, name) is not None]
     if len(given) != 1:
@@ -55,27 +46,29 @@ def read_start(text: str) -> AnyStart:
 
 def wrong_keypoints(text: str) -> SocketProblem:
     """Problem of a text that is no message ``keypoints`` and no ``end``."""
-    return wrong_message(text, (LiveKeypoints, LiveEnd), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS)
+    return wrong_message(
+        text, (schemas.LiveKeypoints, schemas.LiveEnd), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS
+    )
 
 
 def read_end(message: Mapping[str, Any]) -> None:
     """Require that a message is ``end``; raises ``SocketProblem``."""
     text = message.get("text") or ""
     try:
-        LiveEnd.model_validate_json(text)
+        schemas.LiveEnd.model_validate_json(text)
     except ValidationError:
-        raise wrong_message(text, (LiveEnd,), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
+        raise wrong_message(text, (schemas.LiveEnd,), request_codes.LIVE_MESSAGE, request_codes.LIVE_FIELDS) from None
 
 
 class Intake:
     """Messages with keypoints of one capture as packets; a frame has at most ``max_people``."""
 
-    def __init__(self, cameras: Sequence[str], layout: Layout, max_people: int) -> None:
+    def __init__(self, cameras: Sequence[str], layout: schemas.Layout, max_people: int) -> None:
         self._places: Mapping[str, int] = {name: place for place, name in enumerate(cameras)}
-        self._num_points, self._max_people = POINTS[layout], max_people
+        self._num_points, self._max_people = schemas.POINTS[layout], max_people
         self._newest_s: float | None = None
 
-    def from_text(self, message: LiveKeypoints) -> bytes:
+    def from_text(self, message: schemas.LiveKeypoints) -> bytes:
         """Packet of a message in JSON; raises ``SocketProblem``."""
         place = self._places.get(message.camera) if isinstance(message.camera, str) else message.camera
         if place is None:

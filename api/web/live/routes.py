@@ -18,6 +18,7 @@ from api.web.contract.description import Resource
 from api.web.dependencies import Services, ServicesDep
 from api.web.errors import ApiError, as_api_error
 from api.web.http.websockets import SocketProblem, deny, problem_message
+from api.web.live import schemas
 from api.web.live.calibrations import calibration_file, record_calibration
 from api.web.live.cameras import allows_private, relay_cameras, relay_pattern
 from api.web.live.connection import LiveConnection
@@ -27,19 +28,6 @@ from api.web.live.keeping import KeptPackets, keep_session
 from api.web.live.problems import failed, is_fault, refused
 from api.web.live.process import CaptureProcess, capture_process
 from api.web.live.relay import Outgoing, Relay
-from api.web.live.schemas import (
-    DroppedOut,
-    LiveCamerasStart,
-    LiveDeviceOut,
-    LiveDevicesOut,
-    LiveEnded,
-    LivePatternStart,
-    LiveProblemOut,
-    LiveProtocolOut,
-    LiveReady,
-    LiveRecordStart,
-    LiveStart,
-)
 from api.web.metrics import LiveMetrics
 from api.web.sessions.receiving import spool_folder
 from pipeline.core.problems.request_codes import LIVE_MESSAGE
@@ -89,7 +77,7 @@ async def _serve(connection: LiveConnection) -> str | None:
     except WebSocketDisconnect as gone:
         code, close_code = "client_disconnected", gone.code or _CLIENT_GONE
     except Exception as error:
-        problem = problem_message(error, connection.request_id, LiveProblemOut)
+        problem = problem_message(error, connection.request_id, schemas.LiveProblemOut)
         code, close_code = problem.code, problem.close_code
         if not isinstance(error, SocketProblem | ApiError):
             _log.exception("live_capture_failed", code=code)
@@ -115,16 +103,16 @@ async def _capture(connection: LiveConnection) -> None:
     start = await run_in_threadpool(read_start, text)
     async with spool_folder(services.settings.spool_dir) as folder:
         services.disk.require_room()
-        if isinstance(start, LivePatternStart):
+        if isinstance(start, schemas.LivePatternStart):
             await connection.send(_ended(await relay_pattern(connection, start, folder)))
             return
-        if isinstance(start, LiveRecordStart):
+        if isinstance(start, schemas.LiveRecordStart):
             await connection.send(await record_calibration(connection, start, folder))
             return
         if start.keep:
             await run_in_threadpool(connection.records.require_room, 0)
         calibration = await calibration_file(connection, start, folder)
-        if isinstance(start, LiveCamerasStart):
+        if isinstance(start, schemas.LiveCamerasStart):
             relay = await relay_cameras(connection, start, calibration)
         else:
             relay = await _relay_keypoints(connection, start, calibration)
@@ -134,16 +122,16 @@ async def _capture(connection: LiveConnection) -> None:
         await connection.send(_ended(relay, session_id))
 
 
-def _ended(relay: Outgoing, session_id: str | None = None) -> LiveEnded:
-    return LiveEnded(
+def _ended(relay: Outgoing, session_id: str | None = None) -> schemas.LiveEnded:
+    return schemas.LiveEnded(
         counts=relay.counts,
-        dropped=DroppedOut(**relay.dropped._asdict()),
+        dropped=schemas.DroppedOut(**relay.dropped._asdict()),
         session_id=session_id,
         kept_frames=0 if relay.kept is None else relay.kept.num_frames,
     )
 
 
-async def _relay_keypoints(connection: LiveConnection, start: LiveStart, calibration: Path) -> Relay:
+async def _relay_keypoints(connection: LiveConnection, start: schemas.LiveStart, calibration: Path) -> Relay:
     """Relay keypoints of a client until their end."""
     services, settings = connection.services, connection.settings
     async with _ready(services, start, calibration) as (process, ready):
@@ -159,14 +147,14 @@ async def _relay_keypoints(connection: LiveConnection, start: LiveStart, calibra
             "idle_s": settings.live_idle_s,
         }
         request_id = connection.request_id
-        await connection.send(LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
+        await connection.send(schemas.LiveReady(**ready, layout=start.layout, limits=limits, request_id=request_id))
         await relay.run()
     return relay
 
 
 @contextlib.asynccontextmanager
 async def _ready(
-    services: Services, start: LiveStart, calibration: Path
+    services: Services, start: schemas.LiveStart, calibration: Path
 ) -> AsyncIterator[tuple[CaptureProcess, dict[str, Any]]]:
     """Process that has begun, and the contents of its first answer; raises ``SocketProblem``."""
     settings = services.settings
@@ -194,12 +182,12 @@ async def _ready(
 
 
 @router.get("/live/devices", tags=["live"], summary="List cameras of the service's machine")
-def list_live_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOut:
+def list_live_devices(services: ServicesDep, caller: CallerDep) -> schemas.LiveDevicesOut:
     """List the cameras of the service's machine and the protocols of outputs that live captures may use."""
     is_allowed = allows_private(services.settings, caller)
     devices = find_devices() if is_allowed else {}
     protocols = (
-        LiveProtocolOut(
+        schemas.LiveProtocolOut(
             scheme=scheme,
             label=protocol.label,
             port=protocol.port,
@@ -209,9 +197,9 @@ def list_live_devices(services: ServicesDep, caller: CallerDep) -> LiveDevicesOu
         for scheme, protocol in OUTPUTS.items()
         if is_allowed
     )
-    return LiveDevicesOut(
+    return schemas.LiveDevicesOut(
         allows_private=is_allowed,
-        devices=tuple(LiveDeviceOut(device=device, name=name) for device, name in devices.items()),
+        devices=tuple(schemas.LiveDeviceOut(device=device, name=name) for device, name in devices.items()),
         protocols=tuple(protocols),
     )
 

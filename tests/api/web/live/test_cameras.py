@@ -14,8 +14,7 @@ import pytest
 
 from api.web.http.websockets import SocketProblem
 from api.web.live import cameras
-from api.web.live.cameras import read_cameras
-from api.web.live.phones import WrongSourceError
+from api.web.live.cameras import WrongSourceError, read_cameras
 from api.web.live.schemas import LiveCamerasStart
 from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE
