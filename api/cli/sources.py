@@ -8,19 +8,8 @@ from typing import Annotated, get_args, get_type_hints
 
 import typer
 
+from api.cli import options as cli_options
 from api.cli.console import shows_help
-from api.cli.options import (
-    KeypointRateOption,
-    KeypointsOption,
-    LayoutOption,
-    PairByOrderOption,
-    UnitsOption,
-    UpOption,
-    known_clock,
-    known_units,
-    known_up,
-    with_options,
-)
 from pipeline.capture.preflight_record import Clock
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.options.rules import collecting, require
@@ -66,21 +55,21 @@ class SourceOptions:
             help="Clock of the videos' first frames: --offset, or what the files state, to which it is added.",
         ),
     ] = "declared"
-    keypoints: KeypointsOption = None
+    keypoints: cli_options.KeypointsOption = None
     timestamps: Annotated[
         Path | None, typer.Option(help="Times of the keypoints' frames: CSV with the columns camera, frame, time_s.")
     ] = None
-    frame_rate: KeypointRateOption = None
-    layout: LayoutOption = None
+    frame_rate: cli_options.KeypointRateOption = None
+    layout: cli_options.LayoutOption = None
     own_points: Annotated[
         Path | None,
         typer.Option(
             help="Rigid objects and bones among points of your own, YAML or JSON; see `multicap help own-points`."
         ),
     ] = None
-    pair_by_order: PairByOrderOption = False
-    units: UnitsOption = None
-    up: UpOption = "z"
+    pair_by_order: cli_options.PairByOrderOption = False
+    units: cli_options.UnitsOption = None
+    up: cli_options.UpOption = "z"
 
     def check(self, *, is_optional: bool = False) -> None:
         """Check that options can be read and go together.
@@ -89,9 +78,9 @@ class SourceOptions:
         optional.
         """
         with collecting() as collect:
-            collect(lambda: known_units(self.units))
-            collect(lambda: known_clock(self.clock))
-            collect(lambda: known_up(self.up))
+            collect(lambda: cli_options.known_units(self.units))
+            collect(lambda: cli_options.known_clock(self.clock))
+            collect(lambda: cli_options.known_up(self.up))
             is_given = any((self.videos, self.keypoints, self.timestamps, self.offset, self.rate))
             if is_given or not is_optional:
                 collect(lambda: require(self._mixed()))
@@ -127,10 +116,10 @@ class SourceOptions:
             calibration,
             self.timestamps,
             self.frame_rate,
-            known_units(self.units),
+            cli_options.known_units(self.units),
             pair_by_order=self.pair_by_order,
             keeps_poses=keeps_poses,
-            up=known_up(self.up),
+            up=cli_options.known_up(self.up),
             layout=self.layout,
         )
         return session if self.own_points is None else with_own_points(session, self.own_points)
@@ -142,12 +131,12 @@ class SourceOptions:
             paths[0] if len(paths) == 1 else paths,
             calibration,
             recordings,
-            known_units(self.units),
-            known_clock(self.clock),
+            cli_options.known_units(self.units),
+            cli_options.known_clock(self.clock),
             self.frame_rate,
             self.pair_by_order,
             keeps_poses=keeps_poses,
-            up=known_up(self.up),
+            up=cli_options.known_up(self.up),
         )
         if self.frame_rate is not None and all(video.codec != SEQUENCE for video in session.videos):
             message = "A frame rate belongs to keypoints and to images; videos have their own times."
@@ -166,7 +155,7 @@ def with_source(*, omits: Collection[str] = ()) -> Callable[[Callable[..., None]
         for field in fields(SourceOptions)
         if field.name not in omits
     ]
-    return with_options("source", options, lambda typed: SourceOptions(**typed))
+    return cli_options.with_options("source", options, lambda typed: SourceOptions(**typed))
 
 
 def _keypoint_folder(keypoints: Sequence[Path]) -> Path | Mapping[str, Path]:

@@ -20,47 +20,7 @@ from api.web.contract.schemas import ID, DescribedModel
 from pipeline.core.errors import Problem
 from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code, read_sentences, usual_status
-from pipeline.core.problems.request_codes import (
-    ARTIFACT_DAMAGED,
-    ARTIFACTS_REFUSED,
-    ARTIFACTS_UNAVAILABLE,
-    CHANGED_MEANWHILE,
-    CLIENT_DISCONNECTED,
-    CLIENT_TOO_SLOW,
-    CONFLICT,
-    CONTENT_TOO_LARGE,
-    DATABASE_DAMAGED,
-    DATABASE_UNAVAILABLE,
-    FIELDS,
-    IDEMPOTENCY_KEY_BUSY,
-    IDEMPOTENCY_KEY_REUSED,
-    INTERNAL_ERROR,
-    INVALID_REQUEST,
-    MALFORMED_REQUEST,
-    METHOD_NOT_ALLOWED,
-    MORE_PROBLEMS,
-    NO_RESULTS,
-    NOT_FINISHED,
-    NOT_FOUND,
-    QUOTA_EXCEEDED,
-    STORAGE_FULL,
-    UNSUPPORTED_MEDIA_TYPE,
-    VIDEOS_DELETED,
-)
-from worker.store.errors import (
-    ArtifactsRefused,
-    DamagedArtifact,
-    DamagedDatabase,
-    EditedMeanwhile,
-    JobStoreError,
-    KeyBusy,
-    KeyReused,
-    NoResults,
-    NotFinished,
-    NotFound,
-    QuotaExceeded,
-    VideosDeleted,
-)
+from worker.store import errors as store_errors
 from worker.store.files.disk import is_disk_full
 from worker.store.outages import Outage, find_outage
 
@@ -77,12 +37,12 @@ _MAX_POINTER = 500
 VIDEOS_DELETED_HINT = "Use the results of the capture's jobs; else send its videos again as a new capture."
 
 _CODES: Mapping[int, Code] = {
-    400: MALFORMED_REQUEST,
-    404: NOT_FOUND,
-    405: METHOD_NOT_ALLOWED,
-    408: CLIENT_TOO_SLOW,
-    413: CONTENT_TOO_LARGE,
-    415: UNSUPPORTED_MEDIA_TYPE,
+    400: request_codes.MALFORMED_REQUEST,
+    404: request_codes.NOT_FOUND,
+    405: request_codes.METHOD_NOT_ALLOWED,
+    408: request_codes.CLIENT_TOO_SLOW,
+    413: request_codes.CONTENT_TOO_LARGE,
+    415: request_codes.UNSUPPORTED_MEDIA_TYPE,
 }
 # Status of the upload protocol that HTTP does not define.
 _TITLES: Mapping[int, str] = {460: "Checksum Mismatch"}
@@ -98,7 +58,7 @@ _DETAILS: Mapping[int, str] = {
 
 _SENTENCES = read_sentences(request_codes)
 
-MEANINGS: Mapping[str, str] = {code: _SENTENCES[code][0] for code in FIELDS.places}
+MEANINGS: Mapping[str, str] = {code: _SENTENCES[code][0] for code in request_codes.FIELDS.places}
 """Meanings of the codes in ``errors[]`` that concern a field. The codes are part of the API and never change."""
 
 
@@ -179,13 +139,17 @@ def unprocessable(errors: Sequence[ErrorItem]) -> ApiError:
     """Error 422 for a request with wrong fields, parts or files."""
     num_problems = sum(error.num_problems if isinstance(error, MoreProblems) else 1 for error in errors)
     count = "One thing is" if num_problems == 1 else f"{num_problems} things are"
-    return ApiError(INVALID_REQUEST, f"{count} wrong with the request.", errors=_listed(errors, num_problems))
+    return ApiError(
+        request_codes.INVALID_REQUEST, f"{count} wrong with the request.", errors=_listed(errors, num_problems)
+    )
 
 
 def more_problems(num_problems: int) -> "MoreProblems":
     """Entry that stands for a number of problems that are not listed."""
     message = f"{num_problems:,} more problems are not listed."
-    return MoreProblems(code=MORE_PROBLEMS, message=message, hint="Correct these first.", num_problems=num_problems)
+    return MoreProblems(
+        code=request_codes.MORE_PROBLEMS, message=message, hint="Correct these first.", num_problems=num_problems
+    )
 
 
 def _listed(errors: Sequence[ErrorItem], num_problems: int) -> list[ErrorItem]:
@@ -211,7 +175,7 @@ def service_unavailable(code: Code, detail: str, errors: Sequence[ErrorItem] = (
 def database_damaged() -> ApiError:
     """Error 503 until the operator has replaced the database."""
     hint = "The service's log tells the operator what to do."
-    return service_unavailable(DATABASE_DAMAGED, "The database is damaged.", hint=hint)
+    return service_unavailable(request_codes.DATABASE_DAMAGED, "The database is damaged.", hint=hint)
 
 
 def pointer_to(*steps: str | int) -> str:
@@ -267,11 +231,11 @@ def as_api_error(error: Exception) -> ApiError:
             code = _CODES.get(status, Code(HTTPStatus(status).name.lower()))
             detail = _DETAILS.get(status, HTTPStatus(status).phrase)
             return ApiError(code, detail, status=status, retryable=status == 408, headers=error.headers)
-        case DamagedArtifact():
-            return ApiError(ARTIFACT_DAMAGED, "A stored file is damaged.")
-        case DamagedDatabase():
+        case store_errors.DamagedArtifact():
+            return ApiError(request_codes.ARTIFACT_DAMAGED, "A stored file is damaged.")
+        case store_errors.DamagedDatabase():
             return database_damaged()
-        case JobStoreError():
+        case store_errors.JobStoreError():
             return _from_store(error)
         case _:
             return _from_failure(error)
@@ -281,7 +245,7 @@ def handle(request: Request, error: Exception) -> Response:
     """Answer any exception with a problem; log the failures of the service itself."""
     problem = as_api_error(error)
     if problem.status >= 500:
-        if isinstance(error, DamagedDatabase):
+        if isinstance(error, store_errors.DamagedDatabase):
             _log.error("request_failed", code=problem.code, detail=str(error), instructions=error.instructions())
         else:
             _log.error("request_failed", code=problem.code, exc_info=error)
@@ -295,7 +259,7 @@ def install(app: FastAPI) -> None:
 
     Unforeseen exceptions are caught by ``api.web.http.middleware.FailureResponse``.
     """
-    for kind in (ApiError, HTTPException, JobStoreError, ClientDisconnect):
+    for kind in (ApiError, HTTPException, store_errors.JobStoreError, ClientDisconnect):
         app.add_exception_handler(kind, handle)
 
 
@@ -329,70 +293,76 @@ def _without_surrogates(value: Any) -> Any:
             return value
 
 
-def _from_store(error: JobStoreError) -> ApiError:
+def _from_store(error: store_errors.JobStoreError) -> ApiError:
     match error:
-        case NotFound():
-            return ApiError(NOT_FOUND, str(error))
-        case QuotaExceeded():
+        case store_errors.NotFound():
+            return ApiError(request_codes.NOT_FOUND, str(error))
+        case store_errors.QuotaExceeded():
             return _from_quota(error)
-        case KeyReused():
+        case store_errors.KeyReused():
             hint = "Use a new Idempotency-Key for each request; repeat a key only with the same request."
-            return ApiError(IDEMPOTENCY_KEY_REUSED, str(error), hint=hint)
-        case KeyBusy():
+            return ApiError(request_codes.IDEMPOTENCY_KEY_REUSED, str(error), hint=hint)
+        case store_errors.KeyBusy():
             headers = {"Retry-After": str(_RETRY_AFTER_S)}
-            return ApiError(IDEMPOTENCY_KEY_BUSY, str(error), retryable=True, headers=headers)
+            return ApiError(request_codes.IDEMPOTENCY_KEY_BUSY, str(error), retryable=True, headers=headers)
         case _:
             return _from_conflict(error)
 
 
-def _from_conflict(error: JobStoreError) -> ApiError:
+def _from_conflict(error: store_errors.JobStoreError) -> ApiError:
     match error:
-        case NotFinished():
+        case store_errors.NotFinished():
             hint = "Read the job again until its state is succeeded."
-            return ApiError(NOT_FINISHED, str(error), hint=hint, retryable=True)
-        case NoResults():
+            return ApiError(request_codes.NOT_FINISHED, str(error), hint=hint, retryable=True)
+        case store_errors.NoResults():
             reason = f"The job's error is {error.reason} " if error.reason else ""
-            return ApiError(NO_RESULTS, str(error), hint=reason + _advice_without_results(error))
-        case EditedMeanwhile():
+            return ApiError(request_codes.NO_RESULTS, str(error), hint=reason + _advice_without_results(error))
+        case store_errors.EditedMeanwhile():
             hint = "Read the edits again, then send them with their present ETag."
-            return ApiError(CHANGED_MEANWHILE, str(error), hint=hint)
-        case VideosDeleted():
-            return ApiError(VIDEOS_DELETED, str(error), hint=VIDEOS_DELETED_HINT)
+            return ApiError(request_codes.CHANGED_MEANWHILE, str(error), hint=hint)
+        case store_errors.VideosDeleted():
+            return ApiError(request_codes.VIDEOS_DELETED, str(error), hint=VIDEOS_DELETED_HINT)
         case _:
-            return ApiError(CONFLICT, str(error))
+            return ApiError(request_codes.CONFLICT, str(error))
 
 
-def _advice_without_results(error: NoResults) -> str:
+def _advice_without_results(error: store_errors.NoResults) -> str:
     if error.state == "expired":
         return "Start another job of its capture."
     return "Retry the job." if error.retryable else "Correct the input and send a new capture."
 
 
-def _from_quota(error: QuotaExceeded) -> ApiError:
+def _from_quota(error: store_errors.QuotaExceeded) -> ApiError:
     if error.name == "unfinished_jobs":
         hint = "Send the request again when a job has ended."
         headers = {"Retry-After": str(_QUOTA_RETRY_AFTER_S)}
-        return ApiError(QUOTA_EXCEEDED, str(error), status=429, hint=hint, retryable=True, headers=headers)
-    return ApiError(QUOTA_EXCEEDED, str(error), hint="Delete captures that are no longer needed.")
+        return ApiError(
+            request_codes.QUOTA_EXCEEDED, str(error), status=429, hint=hint, retryable=True, headers=headers
+        )
+    return ApiError(request_codes.QUOTA_EXCEEDED, str(error), hint="Delete captures that are no longer needed.")
 
 
 def _storage_full() -> ApiError:
     hint = "Delete captures that are no longer needed, or ask the operator for space; then send the request again."
-    return ApiError(STORAGE_FULL, "The service's disk is full.", hint=hint, retryable=True)
+    return ApiError(request_codes.STORAGE_FULL, "The service's disk is full.", hint=hint, retryable=True)
 
 
 def _from_failure(error: Exception) -> ApiError:
     match error:
         case ClientDisconnect():
-            return ApiError(CLIENT_DISCONNECTED, "The client closed the connection.", retryable=True)
+            return ApiError(request_codes.CLIENT_DISCONNECTED, "The client closed the connection.", retryable=True)
         case _ if is_disk_full(error):
             return _storage_full()
         case _ if find_outage(error) is Outage.DATABASE:
-            return service_unavailable(DATABASE_UNAVAILABLE, "The database does not respond.", hint=_WAIT)
+            return service_unavailable(request_codes.DATABASE_UNAVAILABLE, "The database does not respond.", hint=_WAIT)
         case _ if find_outage(error) is Outage.ARTIFACTS:
-            return service_unavailable(ARTIFACTS_UNAVAILABLE, "The artifact store does not respond.", hint=_WAIT)
-        case ArtifactsRefused():
+            return service_unavailable(
+                request_codes.ARTIFACTS_UNAVAILABLE, "The artifact store does not respond.", hint=_WAIT
+            )
+        case store_errors.ArtifactsRefused():
             hint = "The operator checks MULTICAP_ARTIFACTS_URL, its bucket and its keys."
-            return service_unavailable(ARTIFACTS_REFUSED, "The artifact store refuses the service.", hint=hint)
+            return service_unavailable(
+                request_codes.ARTIFACTS_REFUSED, "The artifact store refuses the service.", hint=hint
+            )
         case _:
-            return ApiError(INTERNAL_ERROR, "The service failed; the log says why.", retryable=True)
+            return ApiError(request_codes.INTERNAL_ERROR, "The service failed; the log says why.", retryable=True)

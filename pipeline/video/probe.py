@@ -27,16 +27,7 @@ from pipeline.core.errors import Problem, UnusableError
 from pipeline.core.problems import session_codes
 from pipeline.core.problems.finding_codes import FIRST_PICTURE_MOVED, INTERLACED_VIDEO, PIXEL_ASPECT
 from pipeline.core.runtime import confinement
-from pipeline.video.container import (
-    CODECS,
-    DECODE_ERRORS,
-    MAX_PIXELS,
-    decode_from,
-    display_pts,
-    first_video,
-    open_container,
-    reading_s,
-)
+from pipeline.video import container as containers
 from pipeline.video.frame_rate import measured_rate, measured_rate_hz, uneven_times
 from pipeline.video.images.files import is_sequence
 from pipeline.video.images.image_probe import probe_images
@@ -65,7 +56,7 @@ def probe(path: Path) -> VideoInfo | Problem:
         return _probe(path)
     except UnusableError as error:
         return error.problem(path)
-    except DECODE_ERRORS:
+    except containers.DECODE_ERRORS:
         return _unreadable().problem(path)
 
 
@@ -96,8 +87,8 @@ def _probe(path: Path) -> VideoInfo:
     _check_start(path)
     if is_sequence(path):
         return probe_images(path)
-    with open_container(path) as container:
-        stream = first_video(container)
+    with containers.open_container(path) as container:
+        stream = containers.first_video(container)
         if stream is None:
             raise UnusableError(
                 session_codes.NO_VIDEO_STREAM,
@@ -105,13 +96,13 @@ def _probe(path: Path) -> VideoInfo:
                 "Check that the file is not audio only.",
             )
         codec = stream.codec_context.codec.canonical_name
-        if codec not in CODECS:
+        if codec not in containers.CODECS:
             raise UnusableError(
                 session_codes.UNSUPPORTED_CODEC,
                 f"The codec {codec} is not supported.",
-                f"Convert the video to one of {', '.join(sorted(CODECS))}.",
+                f"Convert the video to one of {', '.join(sorted(containers.CODECS))}.",
             )
-        if stream.codec_context.width * stream.codec_context.height > MAX_PIXELS:
+        if stream.codec_context.width * stream.codec_context.height > containers.MAX_PIXELS:
             raise _too_large()
         announced, time_base, pixel_aspect = (
             _announced(path, container, stream),
@@ -148,7 +139,7 @@ def _probe(path: Path) -> VideoInfo:
     frames = _decode_ends(path, keyframe_pts, _AVI_ORDER if video_format.container == "avi" else REPAIR_TIMES)
     width, height = frames[0].width, frames[0].height
     square_width, warnings = square_pixels(width, pixel_aspect)
-    if square_width * height > MAX_PIXELS:
+    if square_width * height > containers.MAX_PIXELS:
         raise _too_large()
     if any(frame.interlaced_frame for frame in frames):
         warnings.append(interlaced())
@@ -183,7 +174,7 @@ def _probe(path: Path) -> VideoInfo:
 
 def _too_large() -> UnusableError:
     return UnusableError(
-        session_codes.VIDEO_TOO_LARGE, f"The picture has more than {MAX_PIXELS} pixels.", "Scale it down."
+        session_codes.VIDEO_TOO_LARGE, f"The picture has more than {containers.MAX_PIXELS} pixels.", "Scale it down."
     )
 
 
@@ -218,18 +209,18 @@ def _announced(path: Path, container: InputContainer, stream: VideoStream) -> in
 
 def _decode_ends(path: Path, keyframe_pts: np.ndarray, repair_times: str) -> list[VideoFrame]:
     """Decode the first pictures and one near the end, all of one size; raise if decoding fails."""
-    frames = list(islice(decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
+    frames = list(islice(containers.decode_from(path, [], int(keyframe_pts[0])), _NUM_DECODED))
     if not frames:
         raise UnusableError(
             session_codes.NO_FRAMES, "No frame of the video can be decoded.", "Record or export it again."
         )
-    times = [pts for frame in frames if (pts := display_pts(frame)) is not None]
+    times = [pts for frame in frames if (pts := containers.display_pts(frame)) is not None]
     if times != sorted(times):
         raise UnusableError(session_codes.VIDEO_TIMES, "The timestamps of the first frames go backwards.", repair_times)
     if len(keyframe_pts) > 1:
         last_pts = int(keyframe_pts[-1])
-        later = decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
-        last = next((frame for frame in later if (display_pts(frame) or 0) >= last_pts), None)
+        later = containers.decode_from(path, seek_points(keyframe_pts, last_pts), last_pts)
+        last = next((frame for frame in later if (containers.display_pts(frame) or 0) >= last_pts), None)
         if last is None:
             raise UnusableError(
                 session_codes.VIDEO_TRUNCATED, "The end of the video can't be decoded.", "Copy it again."
@@ -290,7 +281,7 @@ def main() -> None:
 
 def _answer(path: Path) -> None:
     """Print the line ``READY``, then the properties or the problem of the file as one JSON object."""
-    confinement.confine(confinement.ChildLimits(_MAX_CPU_S + reading_s(path)))
+    confinement.confine(confinement.ChildLimits(_MAX_CPU_S + containers.reading_s(path)))
     confinement.tell_ready()
     try:
         result = probe(path)

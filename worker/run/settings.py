@@ -16,14 +16,7 @@ from pipeline.core.options.providers import ProviderChoice
 from pipeline.core.options.requirements import Schema, requirement
 from worker.run.logs import LogLevel
 from worker.store.errors import DamagedDatabase, UnknownSchema
-from worker.store.files.artifacts import (
-    ARTIFACTS_URL,
-    DEFAULT_CACHE_BYTES,
-    DEFAULT_CACHE_HOURS,
-    ArtifactStore,
-    default_data_dir,
-    open_artifacts,
-)
+from worker.store.files import artifacts
 from worker.store.files.secret_files import S3_KEYS, FileVariableError, file_variable
 from worker.store.store import JobStore
 
@@ -143,11 +136,11 @@ class SharedSettings(BaseSettings):
 
     model_config = SettingsConfigDict(env_prefix=_PREFIX, frozen=True, use_attribute_docstrings=True)
 
-    data_dir: Path = Field(default_factory=default_data_dir)
+    data_dir: Path = Field(default_factory=artifacts.default_data_dir)
     """Data folder: database, stored files, unfinished uploads, logs. Default: `service` in the user's data folder."""
     database_url: str = ""
     """SQLAlchemy URL of the database, such as postgresql://user:password@host/name; without it SQLite in data_dir."""
-    artifacts_url: str = Field(default="", pattern=ARTIFACTS_URL, examples=["s3://bucket/prefix"])
+    artifacts_url: str = Field(default="", pattern=artifacts.ARTIFACTS_URL, examples=["s3://bucket/prefix"])
     """Bucket and prefix of stored files; without it they are in data_dir."""
     broker_url: str = "redis://127.0.0.1:6379/0"
     """URL of Celery's broker; `multicap serve` sets it."""
@@ -180,9 +173,11 @@ class SharedSettings(BaseSettings):
 class WorkerSettings(SharedSettings):
     """Leases and limits of workers and reaper."""
 
-    cache_bytes: int = Field(default=DEFAULT_CACHE_BYTES, gt=0)
+    cache_bytes: int = Field(default=artifacts.DEFAULT_CACHE_BYTES, gt=0)
     """Largest size of a worker's copies in data_dir of videos at artifacts_url, without copies in use."""
-    cache_hours: float = Field(default=DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused copy is kept.")
+    cache_hours: float = Field(
+        default=artifacts.DEFAULT_CACHE_HOURS, gt=0, description="Time for which an unused copy is kept."
+    )
     lease_s: float = Field(default=20.0, gt=0)
     """Time without a heartbeat after which a worker loses its chunk."""
     heartbeat_s: float = Field(default=2.0, gt=0)
@@ -212,6 +207,6 @@ class WorkerSettings(SharedSettings):
     claim_for_s: float = Field(default=300.0, gt=0)
     """Time for which a worker claims chunks after one message."""
 
-    def open_artifacts(self) -> ArtifactStore:
+    def open_artifacts(self) -> artifacts.ArtifactStore:
         """Open the artifact store."""
-        return open_artifacts(self.artifacts_url, self.data_dir, self.cache_bytes, self.cache_hours)
+        return artifacts.open_artifacts(self.artifacts_url, self.data_dir, self.cache_bytes, self.cache_hours)

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli import options
 from api.cli.console import (
     EXIT_BAD_INPUT,
     JsonOption,
@@ -22,16 +23,6 @@ from api.cli.console import (
     shows_help,
     warn,
     writing,
-)
-from api.cli.options import (
-    SizeOption,
-    UnitsOption,
-    UpOption,
-    checked,
-    known_units,
-    known_up,
-    stated_sizes,
-    with_choices,
 )
 from api.cli.sources import SourceOptions, with_source
 from pipeline.core.errors import InputError, Problem, listed_names
@@ -61,7 +52,7 @@ app = typer.Typer(help="Calibration files: show, check, convert; plan of a rig."
 
 
 @app.command()
-def show(file: FileArgument, units: UnitsOption = None, as_json: JsonOption = False) -> None:
+def show(file: FileArgument, units: options.UnitsOption = None, as_json: JsonOption = False) -> None:
     """Show the format, the unit and the cameras of a calibration."""
     with reporting(as_json):
         contents = read(file, units)
@@ -87,9 +78,9 @@ def convert(
             "mamma. Default: by the ending of TARGET.",
         ),
     ] = None,
-    units: UnitsOption = None,
-    up: UpOption = "z",
-    size: SizeOption = None,
+    units: options.UnitsOption = None,
+    up: options.UpOption = "z",
+    size: options.SizeOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a calibration for Multicap or another program, with Z up where the format has no axes of its own."""
@@ -130,7 +121,7 @@ def _target_format(target: Path, stated: str | None) -> tuple[str | None, list[P
 
 def _sized(file: Path, contents: "CameraFile", stated: Sequence[str]) -> "tuple[CameraFile, list[Problem]]":
     """Give cameras the stated sizes; report wrong statements, and cameras without a size."""
-    sizes_px, problems = stated_sizes(stated)
+    sizes_px, problems = options.stated_sizes(stated)
     names = {camera.name for camera in contents.cameras}
     for name in sizes_px.keys() - names - {""}:
         hint = f"The file has {listed_names(sorted(names))}."
@@ -186,7 +177,7 @@ def _notes(contents: "CameraFile") -> list[Finding]:
 
 
 @app.command()
-@with_choices("profile", "detector")
+@options.with_choices("profile", "detector")
 @with_source(omits=("clock", "own_points"))
 def check(
     *,
@@ -197,7 +188,7 @@ def check(
 ) -> None:
     """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
     with reporting(as_json), StageBars(visible=not as_json) as bars:
-        config = replace(checked(chosen, partial(source.check, is_optional=True)), smoothing="none")
+        config = replace(options.checked(chosen, partial(source.check, is_optional=True)), smoothing="none")
         cameras: Sequence[Camera] = ()
         try:
             contents = read(file, source.units, source.up)
@@ -293,7 +284,7 @@ def read(file: Path, units: str | None, up: str = "z") -> "CameraFile":
 
     Raises ``InputError`` if there is no such unit or axis, or with all problems of the file.
     """
-    return read_contents(file, known_units(units), known_up(up))
+    return read_contents(file, options.known_units(units), options.known_up(up))
 
 
 def camera_documents(cameras: "Sequence[Camera]") -> list[dict[str, Any]]:

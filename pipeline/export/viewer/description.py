@@ -20,21 +20,7 @@ from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import without_hands
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.scene import color_rgb
-from pipeline.export.viewer.frames import (
-    ABSENT,
-    ANGLE_STEP_DEG,
-    COLUMNS,
-    ERROR_STEP_PX,
-    UNKNOWN_ERROR,
-    PersonFrames,
-    encode_person,
-    encode_points,
-    encode_strips,
-    frames_a_bucket,
-    identity_confidence,
-    position_step_m,
-    record_type,
-)
+from pipeline.export.viewer import frames
 from pipeline.motion.angles.compute import joint_angles, observable_angles
 from pipeline.motion.balance.segment_masses import segment_masses
 from pipeline.motion.body.joints import BODY_JOINTS, MIDDLE_TWIST_RAD, TWIST_JOINTS
@@ -136,7 +122,7 @@ class ViewerMotion:
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = find_skeleton(num_bones) if num_bones else ()
         self._angle_names = observable_angles(reconstruction.joints)
-        self.dtype = record_type(
+        self.dtype = frames.record_type(
             len(reconstruction.joints.names), num_bones, len(self._angle_names), len(reconstruction.cameras)
         )
         self._steps_m: list[float] = []
@@ -148,9 +134,9 @@ class ViewerMotion:
         num_body_joints = len(without_hands(self._take.joints).names)
         for number in range(len(self._take.tracks)):
             person = person_frames(self._take, self._views, number)
-            self._steps_m.append(position_step_m(person))
-            self._strips.append(encode_strips(person, self._take.timebase.num_frames, num_body_joints))
-            yield from encode_person(person, self.dtype)
+            self._steps_m.append(frames.position_step_m(person))
+            self._strips.append(frames.encode_strips(person, self._take.timebase.num_frames, num_body_joints))
+            yield from frames.encode_person(person, self.dtype)
 
     def describe(self) -> bytes:
         """Encode ``motion.json`` as strict JSON. All pieces of ``encode`` must have been taken before."""
@@ -193,8 +179,8 @@ class ViewerMotion:
             ],
             "concerns": self._report["concerns"],
             "strips": {
-                "frames_per_bucket": frames_a_bucket(take.timebase.num_frames),
-                "columns": COLUMNS,
+                "frames_per_bucket": frames.frames_a_bucket(take.timebase.num_frames),
+                "columns": frames.COLUMNS,
                 "people": self._strips,
             },
         }
@@ -205,10 +191,10 @@ class ViewerMotion:
         return {
             "num_bytes": self.dtype.itemsize,
             "offsets": {name: fields[name][1] for name in self.dtype.names or () if name != "padding"},
-            "absent": ABSENT,
-            "angle_step_deg": ANGLE_STEP_DEG,
-            "error_step_px": ERROR_STEP_PX,
-            "unknown_error": UNKNOWN_ERROR,
+            "absent": frames.ABSENT,
+            "angle_step_deg": frames.ANGLE_STEP_DEG,
+            "error_step_px": frames.ERROR_STEP_PX,
+            "unknown_error": frames.UNKNOWN_ERROR,
         }
 
     def _describe_people(self) -> Iterator[dict[str, Any]]:
@@ -253,9 +239,9 @@ class ViewerMotion:
         own = self._take.own
         for number, track in enumerate(self._take.tracks):
             if (points := own.of_person(number)) is not None:
-                yield from encode_points(own.names, track.track_id, points)
+                yield from frames.encode_points(own.names, track.track_id, points)
         if own.scene is not None:
-            yield from encode_points(own.scene[0].names, None, own.scene[1])
+            yield from frames.encode_points(own.scene[0].names, None, own.scene[1])
 
     def _describe_bones(self, points: Sequence[Mapping[str, Any]]) -> Iterator[list[int]]:
         """Pairs of places among described points between which bones are."""
@@ -280,19 +266,19 @@ def _encoded(document: Mapping[str, Any]) -> bytes:
     return (json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n").encode("ascii")
 
 
-def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], number: int) -> PersonFrames:
+def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], number: int) -> frames.PersonFrames:
     """Content of the records of the person with a number on the list of tracks."""
     track, motion = reconstruction.tracks[number], reconstruction.motions[number]
     doubts: Sequence[Any] = reconstruction.doubts[number] if reconstruction.doubts else ()
     joints = reconstruction.joints
     shown = np.isin(ANGLE_NAMES, observable_angles(joints))
-    return PersonFrames(
+    return frames.PersonFrames(
         track,
         motion.root_m,
         forward_kinematics(motion),
         joint_angles(motion, track, joints, has_sigmas=False).angle_deg[:, shown],
         mean_of_known(views[number].error_px[:, :, : len(without_hands(joints).names)]),
-        identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
+        frames.identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
     )
 
 

@@ -12,16 +12,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 from worker.store.backup import contents
+from worker.store.backup import snapshot as snapshots
 from worker.store.backup.archive import ArchiveWriter, BackupError, BackupUsageError, writing_to
 from worker.store.backup.linked import HeldFile, HeldFiles, held_files
-from worker.store.backup.snapshot import (
-    damage_blames_source,
-    new_private_file,
-    prepare,
-    reading,
-    remove_database,
-    take_snapshot,
-)
 from worker.store.database.connection import schema_revisions, sqlite_path
 from worker.store.files.disk import DiskSpace, sync
 
@@ -74,7 +67,7 @@ def create_backup(
             manifest = _manifest(snapshot, created_at, artifacts_url)
             problems = _write(file, manifest, snapshot, on_progress)
         finally:
-            remove_database(database)
+            snapshots.remove_database(database)
         file.flush()
         os.fsync(file.fileno())
         num_bytes = os.fstat(file.fileno()).st_size
@@ -123,8 +116,8 @@ def _consistent_snapshot(database_url: str, target: Path, links: HeldFiles, with
     """Take a snapshot with all its files, unless some are missing for good."""
     missing_before: set[str] | None = None
     for _ in range(_MAX_SNAPSHOTS):
-        with damage_blames_source(database_url):
-            revision = take_snapshot(database_url, target)
+        with snapshots.damage_blames_source(database_url):
+            revision = snapshots.take_snapshot(database_url, target)
             files, rows = _examine(target, revision, with_artifacts)
         held = {path: found for path in files if (found := links.hold(path)) is not None}
         missing = files.keys() - held.keys()
@@ -143,17 +136,17 @@ def _examine(
     # The backup keeps the schema of the service, so that the same version can read it.
     copy = database.with_name(f"{database.name}-current")
     try:
-        new_private_file(copy)
+        snapshots.new_private_file(copy)
         shutil.copyfile(database, copy)
         return _examine_current(copy, with_artifacts)
     finally:
-        remove_database(copy)
+        snapshots.remove_database(copy)
 
 
 def _examine_current(database: Path, with_artifacts: bool) -> tuple[dict[str, contents.StoredFile], contents.RowCounts]:
-    prepare(database)
+    snapshots.prepare(database)
     try:
-        with reading(database) as connection:
+        with snapshots.reading(database) as connection:
             return contents.named_files(connection, with_artifacts), contents.count_rows(connection)
     except ValueError as error:
         raise BackupError(f"The service's database names a file that can't be: {error}.") from error

@@ -23,14 +23,7 @@ from sqlalchemy import (
 )
 
 from worker.store.backup.archive import BackupError, BackupUsageError
-from worker.store.database.connection import (
-    Database,
-    damage_message,
-    require_content,
-    require_known_schema,
-    schema_revisions,
-    sqlite_path,
-)
+from worker.store.database import connection as connections
 from worker.store.database.tables import UtcTimestamp, metadata
 from worker.store.errors import DamagedDatabase
 
@@ -44,11 +37,11 @@ def take_snapshot(database_url: str, target: Path) -> str:
     Raises ``BackupUsageError`` if the database has no tables of Multicap, ``UnknownSchema`` or ``DamagedDatabase``.
     """
     new_private_file(target)
-    source = sqlite_path(database_url)
+    source = connections.sqlite_path(database_url)
     if source is None:
         _copy_server(database_url, target)
     else:
-        require_content(source)
+        connections.require_content(source)
         # In one step: writes of others between steps would make the copy begin again.
         with contextlib.closing(_connect(source)) as database, contextlib.closing(_connect(target)) as copy:
             database.backup(copy)
@@ -58,7 +51,7 @@ def take_snapshot(database_url: str, target: Path) -> str:
             (revision,) = copy.execute("SELECT version_num FROM alembic_version").fetchone()
         except (sqlite3.OperationalError, TypeError) as error:
             raise BackupUsageError(f"{source} has no tables of Multicap: its service never started.") from error
-    require_known_schema(revision)
+    connections.require_known_schema(revision)
     return str(revision)
 
 
@@ -68,8 +61,8 @@ def damage_blames_source(database_url: str) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, DamagedDatabase) as error:
-        source = sqlite_path(database_url)
-        reason = error.reason if isinstance(error, DamagedDatabase) else damage_message(error)
+        source = connections.sqlite_path(database_url)
+        reason = error.reason if isinstance(error, DamagedDatabase) else connections.damage_message(error)
         if source is None or reason is None:
             raise
         raise DamagedDatabase(source, reason) from error
@@ -85,9 +78,9 @@ def _make_self_contained(database: sqlite3.Connection) -> None:
 
 
 @contextlib.contextmanager
-def opened(database_url: str) -> Iterator[Database]:
+def opened(database_url: str) -> Iterator[connections.Database]:
     """Database that is closed at the end of the block."""
-    database = Database(database_url)
+    database = connections.Database(database_url)
     try:
         yield database
     finally:
@@ -138,12 +131,12 @@ def prepare(path: Path) -> None:
 
 def _copy_server(database_url: str, target: Path) -> None:
     with opened(database_url) as server, opened(f"sqlite:///{target}") as copy:
-        revision, newest = server.revision(), schema_revisions()[-1]
+        revision, newest = server.revision(), connections.schema_revisions()[-1]
         if revision is None:
             raise BackupUsageError(
                 "The database at MULTICAP_DATABASE_URL has no tables of Multicap: its service never started."
             )
-        require_known_schema(revision)
+        connections.require_known_schema(revision)
         if revision != newest:
             raise BackupUsageError(
                 f"The database has schema {revision}, this version has {newest}. "
@@ -163,7 +156,7 @@ def load(path: Path, database_url: str) -> None:
             copy_rows(rows, connection)
 
 
-def require_empty(server: Database) -> None:
+def require_empty(server: connections.Database) -> None:
     """Raise ``BackupUsageError`` if a database has rows of Multicap."""
     with server.reading() as connection:
         there = set(inspect(connection).get_table_names())

@@ -26,14 +26,9 @@ if not shows_help():
     from pipeline.core.data.people import People
     from pipeline.motion.skeleton.animate import animate
     from pipeline.run.warm_up import warm_up
+    from pipeline.validation.evaluation import simulated
     from pipeline.validation.evaluation.camera_errors import camera_errors, disturb_calibration, without_extrinsics
     from pipeline.validation.evaluation.extremity_errors import score_feet, score_hands, score_heels_and_toes
-    from pipeline.validation.evaluation.simulated import (
-        ablate_clustering,
-        cluster_fields,
-        drawn_fields,
-        score_simulated,
-    )
     from pipeline.validation.simulation.scenes import Simulation, find_scene, known_joints, record
 
 # Number of views in the paper's table 3; with all cameras of a dome the six variants would take half an hour.
@@ -148,7 +143,7 @@ def _known_evidence(evidence: str | None, method: Method, ablation: bool) -> str
 
 
 def _score(animation: "Animation", simulation: "Simulation", joints: JointSet) -> dict[str, Any]:
-    scores = score_simulated(animation.tracks, simulation, joints)
+    scores = simulated.score_simulated(animation.tracks, simulation, joints)
     scores |= score_feet(animation.tracks, animation.motions, simulation, joints)
     if "left_heel" in simulation.joints.names:
         scores |= score_heels_and_toes(animation.tracks, simulation, joints)
@@ -194,16 +189,16 @@ def _score_bodies(
 
 
 def _score_fields(simulation: "Simulation", config: ReconstructionConfig, ablation: bool) -> dict[str, Any]:
-    with drawn_fields(simulation) as files:
+    with simulated.drawn_fields(simulation) as files:
         started_s = time.perf_counter()
-        people = People(*cluster_fields(simulation, files))
+        people = People(*simulated.cluster_fields(simulation, files))
         people = identified(people, simulation.cameras, simulation.times, simulation.timebase, COCO_18, config)
         animation = animate(
             people.tracks, people.observations, simulation.cameras, simulation.timebase, COCO_18, config
         )
         fps = simulation.timebase.num_frames / (time.perf_counter() - started_s)
         scores = _score(animation, simulation, COCO_18)
-        parts = {"ablation": ablate_clustering(simulation, files)} if ablation else {}
+        parts = {"ablation": simulated.ablate_clustering(simulation, files)} if ablation else {}
     return scores | {"fps": fps} | parts
 
 

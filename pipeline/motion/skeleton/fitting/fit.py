@@ -15,6 +15,7 @@ from pipeline.core.joints import MARKED_AT_CENTERS, JointOffsets, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.core.runtime import large_arrays
 from pipeline.geometry.tracks import reproject
+from pipeline.motion.skeleton import marks
 from pipeline.motion.skeleton.fitting import uncertainty
 from pipeline.motion.skeleton.fitting.articulation import FREEDOMS, Articulation, articulate
 from pipeline.motion.skeleton.fitting.gauss_newton import JointPoses, landmark_positions, refine, start_from
@@ -25,13 +26,6 @@ from pipeline.motion.skeleton.fitting.positions import MAX_GAP_S, SCALES_M, fit_
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.fitting.solve import solve_pose
 from pipeline.motion.skeleton.landmarks import Landmarks, bone_lengths_m
-from pipeline.motion.skeleton.marks import (
-    centers_from_marks,
-    has_torso,
-    mark_offsets_m,
-    marks_from_centers,
-    trunk_length_m,
-)
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 from pipeline.motion.skeleton.rigid_parts import landmark_offsets_m
 from pipeline.motion.skeleton.rotations import continuous_quat_xyzw, filled
@@ -190,7 +184,7 @@ class SkeletonFit:
     @property
     def has_torso(self) -> bool:
         """True if a hip or a shoulder was ever located; without them, the skeleton's position is arbitrary."""
-        return has_torso(self._track.xyz_m, self._joints)
+        return marks.has_torso(self._track.xyz_m, self._joints)
 
     def motion(self, on_share: OnShare = ignore) -> SkeletonMotion:
         """Fit the skeleton, starting from rotations computed from the positions."""
@@ -265,7 +259,7 @@ class SkeletonFit:
 
     def _marked(self, bone_length_m: Float[np.ndarray, " joints"]) -> Articulation:
         """Skeleton with other lengths of bones, whose landmarks are the detector's marks."""
-        marks_m = mark_offsets_m(self._joints, self._offsets, trunk_length_m(bone_length_m))
+        marks_m = marks.mark_offsets_m(self._joints, self._offsets, marks.trunk_length_m(bone_length_m))
         return articulate(bone_length_m, self._joints, self._offsets_m, marks_m)
 
     def _learnt_lengths_m(self) -> Float[np.ndarray, " joints"]:
@@ -320,7 +314,7 @@ class SkeletonFit:
         self, rows: slice, motion: SkeletonMotion, xyz_m: Float[np.ndarray, "rows joints 3"]
     ) -> Float[np.ndarray, "rows joints 3"]:
         """Marks that the detector would set at joint positions of the final motion; unknown joints stay NaN."""
-        return marks_from_centers(xyz_m, motion, rows, self._joints, self._offsets)
+        return marks.marks_from_centers(xyz_m, motion, rows, self._joints, self._offsets)
 
     def _fit(
         self,
@@ -458,11 +452,13 @@ def fit_to_rays(
     xyz_m[predicted] = track.xyz_m[predicted]
     xyz_m[~known] = np.nan
     source = np.where(known, np.where(measured, Source.MEASURED, Source.PREDICTED), Source.ABSENT)
-    offsets = offsets if has_torso(xyz_m, joints) else MARKED_AT_CENTERS
+    offsets = offsets if marks.has_torso(xyz_m, joints) else MARKED_AT_CENTERS
     if offsets:
         marked_length_m = bone_lengths_m(Landmarks(xyz_m, source, joints, track.views))
         for rows in windows(len(xyz_m), overlap=0):
-            xyz_m[rows] = centers_from_marks(Landmarks(xyz_m[rows], source[rows], joints), offsets, marked_length_m)
+            xyz_m[rows] = marks.centers_from_marks(
+                Landmarks(xyz_m[rows], source[rows], joints), offsets, marked_length_m
+            )
     positions = replace(track, xyz_m=read_only(xyz_m), source=read_only(source.astype(track.source.dtype)))
     return SkeletonFit(positions, joints, timebase, name, rays_of, offsets, predicted, lively, known=proportions)
 

@@ -21,13 +21,7 @@ from pipeline.core.problems.session_codes import SIZE_MISMATCH
 from pipeline.detection.entries import detection_joints, mark_offsets
 from pipeline.detection.models import verify
 from pipeline.detection.upright import turn_of_roll
-from pipeline.run.live.cameras.detector_pool import (
-    DetectedBodies,
-    DetectionJob,
-    PictureSize,
-    detect_bodies,
-    num_processes,
-)
+from pipeline.run.live.cameras import detector_pool
 from pipeline.run.live.cameras.feed import (
     CameraFeed,
     FeedEnded,
@@ -95,7 +89,7 @@ class _Ticket:
     slot: int
     time_s: float
     pictures: SharedPictures
-    bodies: "Future[DetectedBodies]"
+    bodies: "Future[detector_pool.DetectedBodies]"
 
 
 class CameraRun:
@@ -123,7 +117,7 @@ class CameraRun:
         self._sync_s, self._listener, self.joints = sync_s, listener, detection_joints(choices)
         self._events: queue.SimpleQueue[FeedEvent | None] = queue.SimpleQueue()
         self._sentences: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self.num_processes = num_processes(len(sources))
+        self.num_processes = detector_pool.num_processes(len(sources))
         # A picture waits while each process works, and a camera may have as many pictures as it takes for that.
         self._max_pending = self.num_processes + 1
         num_slots = -(-self._max_pending // len(sources))
@@ -194,7 +188,7 @@ class CameraRun:
             raise InputError([problems[number] for number in sorted(problems)])
         self._turns_deg = [turn_of_roll(camera) or 0.0 for camera in self._cameras]
         self._sizes = [
-            PictureSize(self._choices, upright_size_px(camera.size_px, turn_deg))
+            detector_pool.PictureSize(self._choices, upright_size_px(camera.size_px, turn_deg))
             for camera, turn_deg in zip(self._cameras, self._turns_deg, strict=True)
         ]
 
@@ -260,7 +254,7 @@ class CameraRun:
         num_jobs, durations_s = max(len(ready), self.num_processes), [1.0]
         for _ in range(_NUM_PASSES) if ready else ():
             jobs = [self._job(picture) for picture in itertools.islice(itertools.cycle(ready), num_jobs)]
-            futures = [pool.submit(detect_bodies, job) for job in jobs]
+            futures = [pool.submit(detector_pool.detect_bodies, job) for job in jobs]
             for job_number, future in enumerate(futures):
                 self._sizes[ready[job_number % len(ready)].camera].add(future.result().spans_px)
             durations_s = [future.result().duration_s for future in futures]
@@ -300,7 +294,7 @@ class CameraRun:
             case PictureReady(camera, slot, time_s) if slot in self._asked[camera]:
                 self._asked[camera].remove(slot)
                 pace.take(camera, time_s)
-                bodies = pool.submit(detect_bodies, self._job(event))
+                bodies = pool.submit(detector_pool.detect_bodies, self._job(event))
                 bodies.add_done_callback(lambda _: self._events.put(None))
                 self._tickets[camera].append(_Ticket(slot, time_s, event.pictures, bodies))
             case FeedOpened(camera):
@@ -379,14 +373,14 @@ class CameraRun:
         totals.latencies.add(latency_s)
         self._listener.show(instant, latency_s)
 
-    def _job(self, picture: PictureReady) -> DetectionJob:
+    def _job(self, picture: PictureReady) -> detector_pool.DetectionJob:
         """Detection in a picture, which the calibration turns upright."""
         number, pictures = picture.camera, picture.pictures
         form, turn_deg = self._opened[number].format, self._turns_deg[number]
         measures_colours = self._choices.appearance == "on" and picture.time_s >= self._coloured_s[number] + _COLOURS_S
         if measures_colours:
             self._coloured_s[number] = picture.time_s
-        return DetectionJob(
+        return detector_pool.DetectionJob(
             self._choices,
             pictures.path,
             pictures.shape,
