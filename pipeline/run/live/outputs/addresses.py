@@ -15,7 +15,7 @@ from pipeline.core.options.rules import collecting, require
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE
 
 _LOOPBACK = "127.0.0.1"
-_MAX_PEOPLE, _NUM_PORTS = 32, 65_536
+_MAX_PEOPLE, _MAX_NAME, _NUM_PORTS = 32, 64, 65_536
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,26 +31,19 @@ class OutputProtocol:
     package: str | None = None  # Package that is not always installed; the scheme is the extra that installs it
 
 
+_ROOM = "pipeline.run.live.outputs"
 _PEOPLE = tuple(map(str, range(1, _MAX_PEOPLE + 1)))
 
 OUTPUTS: Mapping[str, OutputProtocol] = MappingProxyType(
     {
         "vmc": OutputProtocol(
-            "VMC",
-            "pipeline.run.live.outputs.vmc:VmcOutput",
-            39539,
-            None,
-            options={"people": _PEOPLE, "person": _PEOPLE},
+            "VMC", f"{_ROOM}.vmc:VmcOutput", 39539, None, options={"people": _PEOPLE, "person": _PEOPLE}
         ),
-        "osc": OutputProtocol(
-            "OSC", "pipeline.run.live.outputs.osc:OscOutput", 9000, options={"people": _PEOPLE, "up": ("y", "z")}
-        ),
-        "qtm": OutputProtocol("Qualisys RT", "pipeline.run.live.outputs.qtm:QtmOutput", 22222, 5, is_server=True),
-        "mvn": OutputProtocol("Xsens MVN", "pipeline.run.live.outputs.mvn:MvnOutput", 9763),
-        "rokoko": OutputProtocol("Rokoko", "pipeline.run.live.outputs.rokoko:RokokoOutput", 14043),
-        "lsl": OutputProtocol(
-            "LSL", "pipeline.run.live.outputs.lsl:LslOutput", options={"people": _PEOPLE}, package="pylsl"
-        ),
+        "osc": OutputProtocol("OSC", f"{_ROOM}.osc:OscOutput", 9000, options={"people": _PEOPLE, "up": ("y", "z")}),
+        "qtm": OutputProtocol("Qualisys RT", f"{_ROOM}.qtm:QtmOutput", 22222, 5, is_server=True),
+        "mvn": OutputProtocol("Xsens MVN", f"{_ROOM}.mvn:MvnOutput", 9763),
+        "rokoko": OutputProtocol("Rokoko", f"{_ROOM}.rokoko:RokokoOutput", 14043),
+        "lsl": OutputProtocol("LSL", f"{_ROOM}.lsl:LslOutput", options={"people": _PEOPLE}, package="pylsl"),
     }
 )
 """Protocol of outputs by the scheme of their addresses."""
@@ -114,7 +107,8 @@ def _read(text: str, allow_network: bool) -> OutputAddress:
         host, port = (place, 0) if protocol.port is None else _host_and_port(place, protocol)
     except ValueError:
         host, port, options = "", -1, {}
-    if port < 0 or not (host or protocol.is_server):
+    is_wrong_name = protocol.port is None and (len(host) > _MAX_NAME or not host.isprintable())
+    if port < 0 or is_wrong_name or not (host or protocol.is_server):
         message = f"{text!r:.80} is no address of {protocol.label}."
         raise InputError([_problem(message, f"Write {example(scheme)}.")])
     require(_wrong_options(protocol, options))
@@ -175,7 +169,8 @@ def example(scheme: str) -> str:
 
 def _resolved(host: str) -> str:
     try:
-        return str(socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][4][0])
+        address = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][4]
+        return socket.getnameinfo(address, socket.NI_NUMERICHOST)[0]  # With the scope of a link-local address
     except (OSError, UnicodeError):
         raise InputError([_problem(f"The host {host!r:.80} is not known.", "Check the address.")]) from None
 

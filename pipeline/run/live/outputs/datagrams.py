@@ -2,7 +2,7 @@
 
 import socket
 import struct
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Self
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.output import LiveOutput
 from pipeline.run.live.records import LiveInstant
 
 _FLOAT_BYTES = 4
@@ -18,35 +18,32 @@ _SIZE = struct.Struct(">i")
 _BUNDLE = b"#bundle\0" + struct.pack(">q", 1)  # To be applied at once
 
 
-class DatagramSender:
-    """Sockets to ports of a host, open in a ``with`` block; no packet waits for a receiver.
+class DatagramOutput(LiveOutput):
+    """Output whose packets go to one or more ports of a machine; no packet waits for a receiver."""
 
-    ``host``: IP address. ``ports``: ports of the receivers.
-    """
-
-    def __init__(self, host: str, ports: Iterable[int]) -> None:
-        self._host, self._ports = host, tuple(ports)
-        self._sockets: dict[int, socket.socket] = {}
+    num_ports = 1
+    """Number of ports, from the port of the address on."""
 
     def __enter__(self) -> Self:
-        for port in self._ports:
+        self._sockets: dict[int, socket.socket] = {}
+        for port in range(self.address.port, self.address.port + self.num_ports):
             sender = self._sockets[port] = socket.socket(
-                socket.AF_INET6 if ":" in self._host else socket.AF_INET, socket.SOCK_DGRAM
+                socket.AF_INET6 if ":" in self.address.host else socket.AF_INET, socket.SOCK_DGRAM
             )
             sender.setblocking(False)
             sender.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-            sender.connect((self._host, port))  # so that a machine's answer that no receiver is there is told
+            sender.connect((self.address.host, port))  # so that a machine's answer that no receiver is there is told
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: object) -> None:
         for sender in self._sockets.values():
             sender.close()
 
-    def send(self, packets: Iterable[tuple[int, bytes]]) -> int:
-        """Send packets to their ports; return how many were sent. Raises ``OSError`` if none of several could be."""
+    def send(self, instant: LiveInstant) -> int:
+        """See ``LiveOutput``. Raises ``OSError`` if none of several packets could be sent."""
         num_sent = 0
         last_error: OSError | None = None
-        for port, packet in packets:
+        for port, packet in self.packets(instant):
             try:
                 self._sockets[port].send(packet)
                 num_sent += 1
@@ -58,30 +55,6 @@ class DatagramSender:
         if last_error is not None and not num_sent:
             raise last_error
         return num_sent
-
-
-class DatagramOutput(ABC):
-    """Output whose packets go to one or more ports of a machine; see ``LiveOutput``."""
-
-    def __init__(self, start: OutputStart, num_ports: int = 1) -> None:
-        self._address = start.address
-        self._ports = range(start.address.port, start.address.port + num_ports)
-        self._sender = DatagramSender(start.address.host, self._ports)
-
-    def __enter__(self) -> Self:
-        self._sender.__enter__()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._sender.__exit__(*error)
-
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._address.text
-
-    def send(self, instant: LiveInstant) -> int:
-        """Send the people of an instant; see ``LiveOutput``."""
-        return self._sender.send(self.packets(instant))
 
     @abstractmethod
     def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:

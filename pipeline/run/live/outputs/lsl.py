@@ -9,7 +9,7 @@ Stamps are times on the clock of LSL at which an instant's own frames arrived, a
 (``live.clocks``): jitter moves no stamp.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Self
 
 import numpy as np
@@ -22,9 +22,8 @@ from pipeline.motion import body_segments
 from pipeline.motion.angles.compute import observable_angles
 from pipeline.motion.skeleton.model import INDEX
 from pipeline.run.live.clocks import StreamClock
-from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.output import LiveOutput, OutputStart
 from pipeline.run.live.outputs.poses import person_name, world_rotations
-from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 
 _BUFFER_S = 10
@@ -100,43 +99,33 @@ def _outlet(name: str, kind: str, rate_hz: float, channels: Sequence[tuple[str, 
     return pylsl.StreamOutlet(info, max_buffered=_BUFFER_S)
 
 
-class LslOutput:
+class LslOutput(LiveOutput):
     """Output of LSL; see ``LiveOutput``. Streams are there until the end, so that recorders find them before people."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._start = start
         self._num_people = int(start.address.options.get("people", 1))
-        self._slots, self._clock = PersonSlots(self._num_people), StreamClock()
-        self._streams: list[_PersonStreams] = []
+        super().__init__(start, self._num_people)
+        self._clock = StreamClock()
 
     def __enter__(self) -> Self:
-        names = [f"{self._start.address.host}-{slot}" for slot in range(1, self._num_people + 1)]
-        angles = observable_angles(JointSet(self._start.joints, ()))
-        self._streams = [_PersonStreams(name, self._start.rate_hz, self._start.joints, angles) for name in names]
+        names = [f"{self.address.host}-{slot}" for slot in range(1, self._num_people + 1)]
+        angles = observable_angles(JointSet(self.joints, ()))
+        self._streams = [_PersonStreams(name, self.rate_hz, self.joints, angles) for name in names]
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: object) -> None:
         self._streams.clear()
-
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._start.address.text
 
     def send(self, instant: LiveInstant) -> int:
         """Send the people of an instant; see ``LiveOutput``."""
         self._clock.arrive(instant.time_s, pylsl.local_clock() - instant.lag_s)
         stamp_s = self._clock.capture_s(instant.time_s)
         in_sight = {person.id: person for person in instant.people}
-        people = [person and in_sight.get(person.id) for person in self._slots.update(instant)]
-        angles = dict(self._angles_deg(people))
+        people = [person and in_sight.get(person.id) for person in self.slots.update(instant)]
+        skeletons = {slot: person.skeleton for slot, person in enumerate(people) if person and person.skeleton}
+        angles = dict(zip(skeletons, pose_angles_deg(list(skeletons.values())), strict=True)) if skeletons else {}
         unknown = np.full(len(body_segments.ANGLE_NAMES), np.nan)
         return sum(
             streams.push(person, angles.get(slot, unknown), stamp_s)
             for slot, (streams, person) in enumerate(zip(self._streams, people, strict=True))
         )
-
-    @staticmethod
-    def _angles_deg(people: Sequence[LivePerson | None]) -> Iterator[tuple[int, np.ndarray]]:
-        skeletons = {slot: person.skeleton for slot, person in enumerate(people) if person and person.skeleton}
-        if skeletons:
-            yield from zip(skeletons, pose_angles_deg(list(skeletons.values())), strict=True)

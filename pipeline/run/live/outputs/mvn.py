@@ -26,7 +26,6 @@ from pipeline.run.live.outputs.poses import (
     rest_joints_m,
     world_rotations,
 )
-from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 
 _HEADER = struct.Struct(">6sIBBIBBBBHH")
@@ -34,7 +33,6 @@ _POSE = np.dtype([("id", ">u4"), ("position_m", ">f4", 3), ("rotation_wxyz", ">f
 _POSES, _NAMES, _REST, _TIMECODE = 2, 12, 13, 25
 # Counters of datagrams: the first of several, the second and last of two, the only one.
 _FIRST, _SECOND_LAST, _ONLY = 0, 0x81, 0x80
-_MAX_CHARACTERS = 32
 _FACTS_S = 1.0
 _DAY_MS = 86_400_000
 
@@ -90,20 +88,15 @@ class MvnOutput(DatagramOutput):
 
     def __init__(self, start: OutputStart) -> None:
         super().__init__(start)
-        self._rate_hz = start.rate_hz
-        self._slots = PersonSlots(_MAX_CHARACTERS)
-        self._first_s: float | None = None
         self._told: dict[int, tuple[int, float]] = {}  # Person of a character, and time of the last name and rest pose
 
     def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
         """See ``DatagramOutput``."""
-        time_s = instant.time_s
-        self._first_s = time_s if self._first_s is None else self._first_s
-        elapsed_s = time_s - self._first_s
-        sample, elapsed_ms = round(elapsed_s * self._rate_hz), round(1e3 * elapsed_s)
+        time_s, elapsed_s = instant.time_s, self.elapsed_s(instant)
+        sample, elapsed_ms = round(elapsed_s * self.rate_hz), round(1e3 * elapsed_s)
         characters = {
             number: (person, person.skeleton)
-            for number, person in enumerate(self._slots.update(instant))
+            for number, person in enumerate(self.slots.update(instant))
             if person is not None and person.skeleton is not None
         }
         if not characters:
@@ -114,7 +107,7 @@ class MvnOutput(DatagramOutput):
             counts = len(_BODY), 0, len(segments) - len(_BODY), 0
             for kind, counter, content in self._contents(number, person, skeleton, rotation, time_s):
                 head = f"MXTP{kind:02}".encode(), sample & 0xFFFF_FFFF, counter, len(segments), elapsed_ms & 0xFFFF_FFFF
-                yield self._address.port, _HEADER.pack(*head, number, *counts, len(content)) + content
+                yield self.address.port, _HEADER.pack(*head, number, *counts, len(content)) + content
 
     def _contents(
         self, number: int, person: LivePerson, skeleton: LiveSkeleton, rotation: np.ndarray, time_s: float

@@ -12,7 +12,6 @@ import numpy as np
 
 from pipeline.run.live.outputs.datagrams import DatagramOutput, OscTemplate
 from pipeline.run.live.outputs.output import OutputStart
-from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson
 
 _NUM_PEOPLE = "4"
@@ -22,11 +21,10 @@ class OscOutput(DatagramOutput):
     """Output of plain OSC; see ``LiveOutput``."""
 
     def __init__(self, start: OutputStart) -> None:
-        super().__init__(start)
         options = start.address.options
         num_people = int(options.get("people", _NUM_PEOPLE))
+        super().__init__(start, num_people)
         self._is_y_up = options.get("up") == "y"
-        self._slots = PersonSlots(num_people)
         self._templates = [
             OscTemplate(
                 [
@@ -41,11 +39,11 @@ class OscOutput(DatagramOutput):
     def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
         """See ``DatagramOutput``."""
         in_sight = {person.id for person in instant.people}
-        for template, person in zip(self._templates, self._slots.update(instant), strict=True):
+        for template, person in zip(self._templates, self.slots.update(instant), strict=True):
             packet = template.packet([0.0], [0])
             if person is not None and person.id in in_sight:
                 packet = self._packet(template, person)
-            yield self._address.port, packet
+            yield self.address.port, packet
 
     def _packet(self, template: OscTemplate, person: LivePerson) -> bytes:
         xyz_m = person.xyz_m[:, [0, 2, 1]] * (1.0, 1.0, -1.0) if self._is_y_up else person.xyz_m

@@ -1,9 +1,8 @@
 """Test pattern: simulated people who walk in a circle and open and close their hands, to set up receivers."""
 
-import itertools
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -28,8 +27,8 @@ _LAP_S, _STEPS = 6.0, 6  # Duration of a round, and pairs of steps in it
 _TURNS = (
     ("Spine", "x", 3.0, 0.0, 0.0),
     ("LeftArm", "y", 70.0, 4.0, 0.0),
-    ("RightArm", "y", -10.0, 8.0, 0.0),
-    ("RightForeArm", "y", 80.0, 25.0, 0.25),
+    ("RightArm", "x", -85.0, 8.0, 0.0),
+    ("RightForeArm", "z", 80.0, 25.0, 0.25),
     ("LeftForeArm", "z", -15.0, 15.0, 0.5),
     ("LeftUpLeg", "x", -5.0, -25.0, 0.0),
     ("RightUpLeg", "x", -5.0, -25.0, 0.5),
@@ -44,33 +43,38 @@ _HEAD = {
 }
 
 
-def pattern_instants(num_people: int = 1, rate_hz: float = RATE_HZ) -> Iterator[LiveInstant]:
-    """People at instants without end; their bodies' skeletons have no fingers, like people of cameras."""
+def pattern_instants(num_people: int = 1, rate_hz: float = RATE_HZ) -> Callable[[int], LiveInstant]:
+    """Instants by their numbers; the skeletons of the bodies have no fingers, like people of cameras."""
     num_frames = round(_LAP_S * rate_hz)
     motion = _lap(num_frames, rate_hz)
     joint_m, rotations = posed_joints(motion)
     marks_m = _marks_m(joint_m, rotations)
     num_body = len(SKELETON)
     body_m, quat, lengths_m = joint_m[:, :num_body], motion.parent_from_joint[:, :num_body], motion.bone_length_m
-    for number in itertools.count():
+
+    def instant_at(number: int) -> LiveInstant:
         people = []
         for person in range(num_people):
             frame = (number + person * num_frames // num_people) % num_frames
             skeleton = LiveSkeleton(motion.root_m[frame], quat[frame], lengths_m[:num_body], body_m[frame])
             people.append(LivePerson(person + 1, marks_m[frame], skeleton))
-        yield LiveInstant(number / rate_hz, tuple(people), 0.0)
+        return LiveInstant(number / rate_hz, tuple(people), 0.0)
+
+    return instant_at
 
 
 def play_pattern(show: Callable[[LiveInstant], None], tick: Callable[[float], None], stopped: threading.Event) -> None:
-    """Show a person of the test pattern at its rate until ``stopped``; ``tick`` gets the time each second."""
-    start_s, next_tick_s = time.monotonic(), 1.0
-    for instant in pattern_instants():
-        if stopped.wait(max(0.0, start_s + instant.time_s - time.monotonic())):
-            return
-        show(instant)
-        if instant.time_s >= next_tick_s:
-            tick(instant.time_s)
-            next_tick_s += 1.0
+    """Show a person of the test pattern at its rate until ``stopped``; ``tick`` gets the time each second.
+
+    Instants that were missed, because the machine was busy or slept, are left out.
+    """
+    instant_at, start_s, number, num_ticks = pattern_instants(), time.monotonic(), 0, 0
+    while not stopped.wait(max(0.0, start_s + number / RATE_HZ - time.monotonic())):
+        show(instant_at(number))
+        if number >= (num_ticks + 1) * RATE_HZ:
+            num_ticks = int(number / RATE_HZ)
+            tick(number / RATE_HZ)
+        number = max(number + 1, int((time.monotonic() - start_s) * RATE_HZ))
 
 
 def _lap(num_frames: int, rate_hz: float) -> SkeletonMotion:

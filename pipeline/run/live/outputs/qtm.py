@@ -18,7 +18,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Self, cast
 
-from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.output import LiveOutput, OutputStart
 from pipeline.run.live.outputs.qtm_frames import FrameEncoder, FrameRequest, read_components
 from pipeline.run.live.outputs.qtm_parameters import ParameterError, Parameters
 from pipeline.run.live.records import LiveInstant
@@ -236,22 +236,20 @@ class _Discovery(asyncio.DatagramProtocol):
         """Ignore that a receiver is not there any more."""
 
 
-class QtmOutput:
+class QtmOutput(LiveOutput):
     """Output of the Qualisys real-time protocol; see ``LiveOutput``. Receivers are answered on a thread."""
 
     def __init__(self, start: OutputStart) -> None:
-        self._start, self.rate_hz = start, start.rate_hz
+        super().__init__(start)
         self.parameters = Parameters(start.rate_hz, start.joints)
         self.receivers: dict[_Receiver, None] = {}  # The oldest connection first
         self.latest: FrameEncoder | None = None
-        self._first_s: float | None = None
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="qtm", daemon=True)
 
     def __enter__(self) -> Self:
-        address = self._start.address
         try:
-            self._loop.run_until_complete(self._listen(address.host, address.port))
+            self._loop.run_until_complete(self._listen(self.address.host, self.address.port))
         except OSError:
             self._loop.close()
             raise
@@ -262,7 +260,7 @@ class QtmOutput:
         port = base_port + _TCP_OFFSET if base_port else 0
         self._server = await self._loop.create_server(lambda: _Receiver(self), host, port)
         base_port = self._server.sockets[0].getsockname()[1] - _TCP_OFFSET
-        every_host = ("::" if ":" in host else "0.0.0.0") if self._start.address.is_network else host  # noqa: S104
+        every_host = ("::" if ":" in host else "0.0.0.0") if self.address.is_network else host  # noqa: S104
         try:
             self._discovery, _ = await self._loop.create_datagram_endpoint(
                 lambda: _Discovery(base_port), (every_host, base_port + _DISCOVERY_OFFSET)
@@ -270,7 +268,7 @@ class QtmOutput:
         except OSError:
             self._server.close()
             raise
-        self._address = replace(self._start.address, port=base_port)
+        self.address = replace(self.address, port=base_port)
         self._datagrams = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
         self._datagrams.setblocking(False)
 
@@ -288,18 +286,13 @@ class QtmOutput:
         self._datagrams.close()
         await asyncio.sleep(0)
 
-    def ready(self) -> str:
-        """See ``LiveOutput``."""
-        return self._address.text
-
     def send(self, instant: LiveInstant) -> int:
         """Send the people of an instant; see ``LiveOutput``."""
         return asyncio.run_coroutine_threadsafe(self._show(instant), self._loop).result()
 
     async def _show(self, instant: LiveInstant) -> int:
-        self._first_s = instant.time_s if self._first_s is None else self._first_s
-        number = 1 + round((instant.time_s - self._first_s) * self.rate_hz)
-        self.latest = FrameEncoder(instant, number, len(self._start.joints))
+        number = 1 + round(self.elapsed_s(instant) * self.rate_hz)
+        self.latest = FrameEncoder(instant, number, len(self.joints))
         is_changed = self.parameters.update(instant)
         num_sent = 0
         for receiver in list(self.receivers):

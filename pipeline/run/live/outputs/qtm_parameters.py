@@ -39,19 +39,10 @@ def _general(rate_hz: float, *_: object) -> Element:
     root = Element("General")
     _add(root, Frequency=round(rate_hz), Capture_Time="0.0", Start_On_External_Trigger="False")
     _add(root, **dict.fromkeys(("Start_On_Trigger_NO", "Start_On_Trigger_NC", "Start_On_Trigger_Software"), "False"))
-    _add(
-        SubElement(root, "External_Time_Base"),
-        Enabled="False",
-        Signal_Source="Control port",
-        Signal_Mode="Periodic",
-        Frequency_Multiplier=1,
-        Frequency_Divisor=1,
-        Frequency_Tolerance=1000,
-        Nominal_Frequency="None",
-        Signal_Edge="Negative",
-        Signal_Shutter_Delay=0,
-        Non_Periodic_Timeout="0.0",
-    )
+    clock = {"Enabled": "False", "Signal_Source": "Control port", "Signal_Mode": "Periodic", "Signal_Edge": "Negative"}
+    clock |= {"Frequency_Multiplier": "1", "Frequency_Divisor": "1", "Frequency_Tolerance": "1000"}
+    clock |= {"Nominal_Frequency": "None", "Signal_Shutter_Delay": "0", "Non_Periodic_Timeout": "0.0"}
+    _add(SubElement(root, "External_Time_Base"), **clock)
     for name in ("Processing_Actions", "RealTime_Processing_Actions", "Reprocessing_Actions"):
         _add(SubElement(root, name), Tracking="3D", **dict.fromkeys(_ACTIONS, "False"))
     return root

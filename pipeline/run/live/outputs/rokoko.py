@@ -15,13 +15,10 @@ from jaxtyping import Float
 
 from pipeline.motion.skeleton.model import INDEX, SKELETON
 from pipeline.run.live.outputs.datagrams import DatagramOutput
-from pipeline.run.live.outputs.output import OutputStart
 from pipeline.run.live.outputs.poses import person_colour, person_name, product, rest_joints_m, world_rotations
-from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.outputs.vmc import unity_position, unity_rotation
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 
-_MAX_ACTORS = 32
 _HALF = np.sqrt(0.5)
 _HIPS, _TRUNK, _SHOULDER = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, _HALF, -_HALF)
 _ARM, _LEG, _FOOT = (-0.5, -0.5, 0.5, -0.5), (0.0, _HALF, 0.0, _HALF), (0.0, _HALF, -_HALF, 0.0)
@@ -83,18 +80,11 @@ def rokoko_frame(people: Sequence[tuple[LivePerson, LiveSkeleton]], time_s: floa
 class RokokoOutput(DatagramOutput):
     """Output of the JSON stream of Rokoko; see ``LiveOutput``."""
 
-    def __init__(self, start: OutputStart) -> None:
-        super().__init__(start)
-        self._rate_hz = start.rate_hz
-        self._slots = PersonSlots(_MAX_ACTORS)
-        self._first_s: float | None = None
-        self._has_people = False  # In the last frame
+    _has_people = False  # In the last frame
 
     def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
         """See ``DatagramOutput``. A frame without people follows the last one with them."""
-        slots = self._slots.update(instant)
-        people = [(person, person.skeleton) for person in slots if person and person.skeleton]
+        people = [(person, person.skeleton) for person in self.slots.update(instant) if person and person.skeleton]
         if people or self._has_people:
-            self._first_s = instant.time_s if self._first_s is None else self._first_s
             self._has_people = bool(people)
-            yield self._address.port, rokoko_frame(people, instant.time_s - self._first_s, self._rate_hz)
+            yield self.address.port, rokoko_frame(people, self.elapsed_s(instant), self.rate_hz)

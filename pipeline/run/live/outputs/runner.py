@@ -11,7 +11,7 @@ from typing import Any, Literal, Self
 from pipeline.core.errors import Problem
 from pipeline.core.options.rules import require
 from pipeline.core.problems.finding_codes import PARAMETER_RANGE
-from pipeline.run.live.outputs.addresses import OutputProtocol, read_outputs
+from pipeline.run.live.outputs.addresses import read_outputs
 from pipeline.run.live.outputs.fingers import FingerPoses
 from pipeline.run.live.outputs.output import LiveOutput, OutputStart
 from pipeline.run.live.records import LiveInstant
@@ -41,12 +41,23 @@ class OutputStatus:
         """Status as values of JSON."""
         return asdict(self)
 
+    def fail(self, error: Exception) -> None:
+        """Count an instant that could not be sent, and take the reason."""
+        self.failed += 1
+        self.state, self.message = "failed", str(error)
+        if isinstance(error, ConnectionRefusedError):
+            self.state, self.message = "no receiver", None
+        elif isinstance(error, OSError):
+            self.message = error.strerror or str(error)
+        else:  # a fault of ours, which must neither end the capture nor stay silent
+            self.message = f"internal error, {type(error).__name__}: {error}"
+
 
 class _NewestInstants:
-    """Thread that handles the newest instants; ``drop`` is called for each that waited for too long."""
+    """Thread that handles the newest instants for outputs; their statuses get what is dropped, and what fails."""
 
-    def __init__(self, name: str, handle: Callable[[LiveInstant], None], drop: Callable[[], None]) -> None:
-        self._handle, self._drop = handle, drop
+    def __init__(self, name: str, handle: Callable[[LiveInstant], None], statuses: Sequence[OutputStatus]) -> None:
+        self._handle, self._statuses = handle, statuses
         self._waiting: deque[LiveInstant] = deque()
         self._changed = threading.Condition()
         self._is_over = False
@@ -67,7 +78,8 @@ class _NewestInstants:
         with self._changed:
             if len(self._waiting) == _MAX_WAITING:
                 self._waiting.popleft()
-                self._drop()
+                for status in self._statuses:
+                    status.dropped += 1
             self._waiting.append(instant)
             self._changed.notify()
 
@@ -78,36 +90,22 @@ class _NewestInstants:
                 if not self._waiting:
                     return
                 instant = self._waiting.popleft()
-            self._handle(instant)
+            try:
+                self._handle(instant)
+            except Exception as error:
+                for status in self._statuses:
+                    status.fail(error)
 
 
-class _StatedOutput:
-    """Output with its state and counts."""
+def _sending(output: LiveOutput, status: OutputStatus) -> Callable[[LiveInstant], None]:
+    idle = status.state
 
-    def __init__(self, output: LiveOutput, protocol: OutputProtocol) -> None:
-        self._output = output
-        # Receivers connect to servers, and to streams that have a name.
-        self._idle: OutputState = "listening" if protocol.is_server or protocol.port is None else "waiting"
-        self.status = OutputStatus(output.ready(), protocol.label, self._idle)
+    def send(instant: LiveInstant) -> None:
+        num_sent = output.send(instant)
+        status.state, status.message = "sending" if num_sent else idle, None
+        status.sent += num_sent
 
-    def send(self, instant: LiveInstant) -> None:
-        """Send an instant."""
-        status = self.status
-        try:
-            num_sent = self._output.send(instant)
-        except ConnectionRefusedError:
-            status.state, status.message = "no receiver", None
-            status.failed += 1
-        except OSError as error:
-            status.state, status.message = "failed", error.strerror or str(error)
-            status.failed += 1
-        else:
-            status.state, status.message = "sending" if num_sent else self._idle, None
-            status.sent += num_sent
-
-    def drop(self) -> None:
-        """Count an instant that waited for too long."""
-        self.status.dropped += 1
+    return send
 
 
 class LiveOutputs:
@@ -154,35 +152,39 @@ class LiveOutputs:
         Raises ``InputError`` with all outputs that can't be opened.
         """
         problems: list[Problem] = []
-        outputs: list[_StatedOutput] = []
+        outputs: list[LiveOutput] = []
         for address in self._addresses:
-            start = OutputStart(address, rate_hz, tuple(joints))
+            start, protocol = OutputStart(address, rate_hz, tuple(joints)), address.protocol
             try:
-                output = self._opened.enter_context(resolve_name(address.protocol.factory)(start))
-            except OSError as error:
-                message = f"{address.text} can't be opened: {error.strerror or error}."
+                output = self._opened.enter_context(resolve_name(protocol.factory)(start))
+            except (OSError, RuntimeError) as error:  # RuntimeError: the library of a package is missing
+                message = f"{address.text} can't be opened: {getattr(error, 'strerror', None) or error}."
                 problems.append(Problem(PARAMETER_RANGE, message, field="output", hint="Choose another address."))
             else:
-                outputs.append(_StatedOutput(output, address.protocol))
+                # Receivers connect to servers, and to streams that have a name.
+                idle: OutputState = "listening" if protocol.is_server or protocol.port is None else "waiting"
+                outputs.append(output)
+                self.statuses.append(OutputStatus(output.address.text, protocol.label, idle))
         require(problems)
-        self.statuses += [output.status for output in outputs]
-        threads = [self._thread(output.status.address, output.send, output.drop) for output in outputs]
-        puts: list[Callable[[LiveInstant], None]] = [thread.put for thread in threads]
+        self._show = [
+            self._thread(status.address, _sending(output, status), [status])
+            for output, status in zip(outputs, self.statuses, strict=True)
+        ]
         fingers = FingerPoses(joints)
+        if fingers.has_fingers and outputs:
+            puts = self._show
 
-        def prepare(instant: LiveInstant) -> None:
-            instant = fingers.with_fingers(instant)
-            for put in puts:
-                put(instant)
+            def prepare(instant: LiveInstant) -> None:
+                instant = fingers.with_fingers(instant)
+                for put in puts:
+                    put(instant)
 
-        def drop() -> None:
-            for output in outputs:
-                output.drop()
+            self._show = [self._thread("fingers", prepare, self.statuses)]
 
-        self._show = [self._thread("fingers", prepare, drop).put] if fingers.has_fingers and outputs else puts
-
-    def _thread(self, name: str, handle: Callable[[LiveInstant], None], drop: Callable[[], None]) -> _NewestInstants:
-        return self._opened.enter_context(_NewestInstants(name, handle, drop))
+    def _thread(
+        self, name: str, handle: Callable[[LiveInstant], None], statuses: Sequence[OutputStatus]
+    ) -> Callable[[LiveInstant], None]:
+        return self._opened.enter_context(_NewestInstants(name, handle, statuses)).put
 
     def show(self, instant: LiveInstant) -> None:
         """Have an instant sent by all outputs; returns at once."""

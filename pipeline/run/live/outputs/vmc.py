@@ -19,7 +19,6 @@ from pipeline.motion.skeleton.humanoid import UNITY_BONES
 from pipeline.motion.skeleton.model import find_skeleton, rest_offsets_m
 from pipeline.run.live.outputs.datagrams import DatagramOutput, OscTemplate
 from pipeline.run.live.outputs.output import OutputStart
-from pipeline.run.live.outputs.slots import PersonSlots
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 
 _AT_ORIGIN = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
@@ -80,13 +79,12 @@ class VmcOutput(DatagramOutput):
 
     def __init__(self, start: OutputStart) -> None:
         first = int(start.address.options.get("person", 1))
-        num_people = int(start.address.options.get("people", 1))
-        super().__init__(start, num_people)
-        self._slots, self._shown = PersonSlots(first - 1 + num_people), slice(first - 1, None)
+        self.num_ports = int(start.address.options.get("people", 1))
+        super().__init__(start, first - 1 + self.num_ports)
 
     def packets(self, instant: LiveInstant) -> Iterator[tuple[int, bytes]]:
         """See ``DatagramOutput``."""
-        people = self._slots.update(instant)[self._shown]
-        for port, person in zip(self._ports, people, strict=True):
+        people = self.slots.update(instant)[-self.num_ports :]
+        for port, person in enumerate(people, self.address.port):
             if person is not None:
                 yield port, vmc_packet(person, instant.time_s)

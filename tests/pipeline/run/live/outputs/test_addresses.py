@@ -57,7 +57,7 @@ def test_address_with_unread_part_is_refused(text: str) -> None:
 
 @pytest.mark.skipif(find_spec("pylsl") is None, reason="pylsl is not installed (the extra `lsl`)")
 def test_stream_with_unread_parameter_is_refused() -> None:
-    for text in ("lsl://stage?people", "lsl://?people=2"):
+    for text in ("lsl://stage?people", "lsl://?people=2", "lsl://sta\x00ge", "lsl://" + "s" * 65):
         with pytest.raises(InputError, match="is no address of LSL"):
             read_outputs([text], allow_network=True)
 
@@ -99,3 +99,9 @@ def test_name_of_stream_reaches_network() -> None:
     assert [problem.hint for problem in refused.value.problems] == ["Allow the network."]
     (address,) = read_outputs(["lsl://stage left?people=2"], allow_network=True)
     assert (address.host, address.is_network, address.text) == ("stage left", True, "lsl://stage left?people=2")
+
+
+def test_link_local_address_keeps_its_scope() -> None:
+    """Without the scope no socket can be connected to it."""
+    (address,) = read_outputs(["vmc://[fe80::1%lo]:39539"], allow_network=True)
+    assert (address.host, address.text) == ("fe80::1%lo", "vmc://[fe80::1%lo]:39539")

@@ -12,7 +12,8 @@ import pytest
 from pipeline.core.errors import InputError
 from pipeline.run.live.outputs import addresses
 from pipeline.run.live.outputs.addresses import OutputProtocol
-from pipeline.run.live.outputs.output import OutputStart
+from pipeline.run.live.outputs.output import LiveOutput
+from pipeline.run.live.outputs.pattern import LAYOUT, pattern_instants
 from pipeline.run.live.outputs.runner import LiveOutputs, OutputStatus
 from pipeline.run.live.records import LiveInstant, LivePerson
 
@@ -20,24 +21,24 @@ SENT: list[float] = []
 HANGS, BEGUN = threading.Event(), threading.Event()
 
 
-class SlowOutput:
+class SlowOutput(LiveOutput):
     """Output whose receiver takes nothing until it is told to."""
 
-    def __init__(self, start: OutputStart) -> None:
-        self._address = start.address
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def ready(self) -> str:
-        return self._address.text
+    def __exit__(self, *error: object) -> None: ...
 
     def send(self, instant: LiveInstant) -> int:
         BEGUN.set()
         HANGS.wait(30)
         SENT.append(instant.time_s)
+        return 1
+
+
+class FaultyOutput(SlowOutput):
+    """Output with a fault: it raises for the second instant."""
+
+    def send(self, instant: LiveInstant) -> int:
+        if instant.time_s == 1.0:
+            raise KeyError("LeftHand")
         return 1
 
 
@@ -56,6 +57,7 @@ def protocols(monkeypatch: pytest.MonkeyPatch) -> None:
     BEGUN.clear()
     further = {
         "slow": OutputProtocol("Slow", f"{__name__}:SlowOutput", 1),
+        "faulty": OutputProtocol("Faulty", f"{__name__}:FaultyOutput", 1),
         "closed": OutputProtocol("Closed", f"{__name__}:ClosedOutput", 2, is_server=True),
     }
     monkeypatch.setattr(addresses, "OUTPUTS", {**addresses.OUTPUTS, **further})
@@ -89,6 +91,29 @@ def test_output_that_hangs_drops_oldest_and_others_continue() -> None:
             HANGS.set()
             wait_for(lambda: slow.sent == 3)
             assert SENT[-2:] == [18.0, 19.0]
+
+
+@pytest.mark.usefixtures("protocols")
+def test_fault_of_output_is_told_and_next_instant_is_sent() -> None:
+    with LiveOutputs(["faulty://127.0.0.1"]) as outputs:
+        outputs.begin(["nose"], 25.0)
+        (faulty,) = outputs.statuses
+        for time_s, state, counts in ((0.0, "sending", (1, 0)), (1.0, "failed", (1, 1)), (2.0, "sending", (2, 1))):
+            outputs.show(instant_at(time_s))
+            wait_for(lambda counts=counts: (faulty.sent, faulty.failed) == counts)  # type: ignore[misc]
+            assert faulty.state == state
+            assert (faulty.message is None) == (state == "sending")
+            assert faulty.message in {None, "internal error, KeyError: 'LeftHand'"}
+
+
+def test_fault_of_fingers_is_told_by_all_outputs() -> None:
+    """People without the joints of fingers come although the capture states them."""
+    with LiveOutputs(["vmc://127.0.0.1:39540", "osc://127.0.0.1:39550"]) as outputs:
+        outputs.begin(LAYOUT.joints.names, 25.0)
+        skeleton = pattern_instants()(0).people[0].skeleton
+        outputs.show(LiveInstant(0.0, (LivePerson(1, np.zeros((2, 3)), skeleton),), 0.0))
+        wait_for(lambda: all(status.failed == 1 for status in outputs.statuses))
+        assert {status.state for status in outputs.statuses} == {"failed"}
 
 
 def test_output_without_receiver_says_so_until_one_comes() -> None:
