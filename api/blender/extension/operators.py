@@ -10,7 +10,6 @@ import bpy
 
 from api.blender.extension import characters, scene
 from api.blender.extension.answers import AwayError, CaptureEntry, FileEntry, JobEntry, RequestError
-from api.blender.extension.bone_tree import bone_problems
 from api.blender.extension.capture_folder import find_capture
 from api.blender.extension.characters import recognise, show_bones, stated_bones
 from api.blender.extension.client import BlenderClient, CallerEntry, is_on_this_machine
@@ -98,7 +97,7 @@ class MulticapRefresh(_FreeOperator):
 
 
 def _chosen_armature(context: Any) -> Any:
-    armature = panel_state(context).armature
+    armature = characters.find_armature(panel_state(context).armature)
     if armature is None:
         raise RequestError("Choose an armature of the scene.")
     return armature
@@ -127,8 +126,7 @@ def _show_jobs(jobs: Sequence[JobEntry]) -> None:
     state.job = 0
     for job in jobs:
         item = state.jobs.add()
-        item.ident, item.is_ready = job.id, job.state == "succeeded"
-        item.label = f"{job.created_at}, {job.sentence()}"
+        item.ident, item.label = job.id, f"{job.created_at}, {job.sentence()}"
     if not jobs:
         say("This capture was not reconstructed yet.")
 
@@ -169,7 +167,7 @@ def _show_people(result: tuple[JobEntry, list[FileEntry]]) -> None:
     state.people.clear()
     for number, file in enumerate(people):
         item = state.people.add()
-        item.label, item.number = file.person, number
+        item.label, item.number, item.is_person = file.person, number, True
     if not people:
         say("The job has no GLB and no FBX of people. Reconstruct the capture again with GLB.", is_error=True)
 
@@ -295,7 +293,7 @@ class MulticapAskForBones(_FreeOperator):
 
         def then(bones: dict[str, str]) -> None:
             state = panel_state()
-            if state.armature is None or state.armature.name != name:
+            if state.armature != name or characters.find_armature(name) is None:
                 raise RequestError(f"The armature {name} is no longer chosen.")
             show_bones(state, bones)
 
@@ -313,10 +311,7 @@ class MulticapPutOn(_FreeOperator):
         armature, has_timeline = _chosen_armature(context), state.has_timeline
         if len(numbers) != 1:
             raise RequestError("Choose one person whose motion the armature gets.")
-        bones = stated_bones(state)
-        problems = bone_problems(characters.read_tree(armature), bones)
-        if problems:
-            raise RequestError(" ".join(problems))
+        characters.check_bones(armature, characters.known_bones(armature))
         folder, name = Path(tempfile.mkdtemp(prefix="multicap-")), armature.name
         current.folder = folder
 
@@ -328,53 +323,50 @@ class MulticapPutOn(_FreeOperator):
             return person, read_motion(path)
 
         def then(result: tuple[str, Any]) -> None:
-            do_steps(_put(name, *result, bones, has_timeline=has_timeline))
+            do_steps(_put(name, *result, has_timeline=has_timeline))
 
         start("Download", work, then)
 
 
-def _put(name: str, person: str, motion: Any, bones: dict[str, str], *, has_timeline: bool) -> Iterator[float]:
-    armature = bpy.data.objects.get(name)
+def _put(name: str, person: str, motion: Any, *, has_timeline: bool) -> Iterator[float]:
+    armature = characters.find_armature(name)
     if armature is None:
         raise RequestError(f"The armature {name} is no longer there.")
+    bones = characters.known_bones(armature)
     panel_state().doing = f"Put the motion of {person} on {name}"
     if has_timeline:
         scene.set_timeline(bpy.context.scene, GlbFacts(motion.frame_rate_hz, motion.num_frames))
-    yield from characters.put_on(armature, motion, bones, person)
+    yield from characters.put_on(armature, motion, person)
     pulled = characters.constrained(armature, list(bones.values()))
     text = f"{name} moves as {person}."
     say(f"{text} Constraints still pull {', '.join(pulled[:5])}: mute them." if pulled else text, is_error=bool(pulled))
 
 
-class MulticapReceive(bpy.types.Operator):
-    """Move the armature like the person that a live capture sends to the port (VMC)"""
+class MulticapReceive(_FreeOperator):
+    """Move armatures like the people that a live capture sends to the ports (VMC), or stop; takes stay as actions"""
 
     bl_idname, bl_label = "multicap.receive", "Receive live"
 
-    def execute(self, context: Any) -> set[str]:
+    def begin(self, context: Any) -> None:
         state = panel_state(context)
-        try:
-            live.start(_chosen_armature(context), stated_bones(state), state.live_port)
-        except RequestError as error:
-            say(str(error), is_error=True)
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        return {"FINISHED"}
+        if state.is_receiving:
+            say("Nothing is received any more.")
+            live.stop()
+        else:
+            live.start([getattr(state, f"live_{number + 1}") for number in range(state.live_people)], state.live_port)
+
+
+class MulticapRecord(_FreeOperator):
+    """Record the people who are received as actions of their armatures, or end the take that is recorded"""
+
+    bl_idname, bl_label = "multicap.record", "Record take"
+
+    def begin(self, context: Any) -> None:
+        live.record(panel_state(context).take.strip() or "Take")
 
     @classmethod
-    def poll(cls, _context: Any) -> bool:
-        return live.receiver is None
-
-
-class MulticapStopReceiving(bpy.types.Operator):
-    """Leave the armature as it is, and give it the action that it had"""
-
-    bl_idname, bl_label = "multicap.stop_receiving", "Stop receiving"
-
-    def execute(self, _context: Any) -> set[str]:
-        live.stop()
-        say("Nothing is received any more.")
-        return {"FINISHED"}
+    def poll(cls, context: Any) -> bool:
+        return panel_state(context).is_receiving and super().poll(context)
 
 
 class MulticapSend(_FreeOperator):
@@ -472,7 +464,7 @@ OPERATORS = (
     MulticapAskForBones,
     MulticapPutOn,
     MulticapReceive,
-    MulticapStopReceiving,
+    MulticapRecord,
     MulticapSend,
     MulticapStop,
     MulticapCancelJob,

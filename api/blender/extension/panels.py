@@ -5,35 +5,24 @@ from typing import Any
 
 import bpy
 
+from api.blender.extension.characters import find_armature
+from api.blender.extension.receiver import live
 from api.blender.extension.work import current, extension_preferences, panel_state
 
 
 class MULTICAP_UL_items(bpy.types.UIList):  # noqa: N801 - Blender asks for this form of names
-    """Captures and jobs."""
-
-    def draw_item(
-        self, _context: Any, layout: Any, _data: Any, item: Any, _icon: Any, _active: Any, _name: Any
-    ) -> None:
-        layout.label(text=item.label)
-
-
-class MULTICAP_UL_people(bpy.types.UIList):  # noqa: N801 - likewise
-    """People, each with a box to tick."""
-
-    def draw_item(
-        self, _context: Any, layout: Any, _data: Any, item: Any, _icon: Any, _active: Any, _name: Any
-    ) -> None:
-        layout.prop(item, "is_chosen", text=item.label)
-
-
-class MULTICAP_UL_bones(bpy.types.UIList):  # noqa: N801 - likewise
-    """Joints with their bones."""
+    """Captures and jobs; people, each with a box to tick; joints with their bones."""
 
     def draw_item(self, _context: Any, layout: Any, data: Any, item: Any, _icon: Any, _active: Any, _name: Any) -> None:
-        row = layout.split(factor=0.45)
-        row.label(text=item.joint)
-        if data.armature is not None:
-            row.prop_search(item, "bone", data.armature.data, "bones", text="")
+        if item.joint:
+            row = layout.split(factor=0.45)
+            row.label(text=item.joint)
+            if (armature := find_armature(data.armature)) is not None:
+                row.prop_search(item, "bone", armature.data, "bones", text="")
+        elif item.is_person:
+            layout.prop(item, "is_chosen", text=item.label)
+        else:
+            layout.label(text=item.label)
 
 
 class _Panel(bpy.types.Panel):
@@ -86,7 +75,7 @@ class MULTICAP_PT_captures(_Panel):  # noqa: N801 - likewise
             row.operator("multicap.people")
             row.operator("multicap.cancel_job", text="", icon="X")
         if state.people:
-            layout.template_list("MULTICAP_UL_people", "people", state, "people", state, "person", rows=3)
+            layout.template_list("MULTICAP_UL_items", "people", state, "people", state, "person", rows=3)
             layout.prop(state, "has_timeline")
             layout.prop(state, "has_cameras")
             layout.operator("multicap.import_people", icon="IMPORT")
@@ -104,23 +93,27 @@ class MULTICAP_PT_character(_Panel):  # noqa: N801 - likewise
     def draw(self, context: Any) -> None:
         state, layout = panel_state(context), self.layout
         _draw_armature(state, layout)
-        if state.armature is not None:
+        if find_armature(state.armature) is not None:
             layout.operator("multicap.put_on", icon="ARMATURE_DATA")
 
 
 class MULTICAP_PT_live(_Panel):  # noqa: N801 - likewise
-    """Armature of the scene that moves as the person of a live capture."""
+    """Armatures of the scene that move as the people of a live capture."""
 
     bl_label, bl_parent_id, bl_options = "Live", "MULTICAP_PT_service", {"DEFAULT_CLOSED"}
 
     def draw(self, context: Any) -> None:
         state, layout = panel_state(context), self.layout
         if state.is_receiving:
-            layout.operator("multicap.stop_receiving", icon="PAUSE")
+            layout.prop(state, "take")
+            layout.operator("multicap.record", text="End take" if live.take else "Record take", icon="REC")
+            layout.operator("multicap.receive", text="Stop receiving", icon="PAUSE")
             return
-        _draw_armature(state, layout)
-        layout.prop(state, "live_port")
+        for name in ("live_port", "live_people", *(f"live_{number + 1}" for number in range(state.live_people))):
+            layout.prop(state, name)
         layout.operator("multicap.receive", icon="PLAY")
+        layout.label(text="Bones of an armature:")
+        _draw_armature(state, layout)
 
 
 class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
@@ -142,8 +135,8 @@ class MULTICAP_PT_send(_Panel):  # noqa: N801 - likewise
 
 def _draw_armature(state: Any, layout: Any) -> None:
     layout.prop(state, "armature")
-    if state.armature is not None:
-        layout.template_list("MULTICAP_UL_bones", "bones", state, "bones", state, "bone", rows=6)
+    if find_armature(state.armature) is not None:
+        layout.template_list("MULTICAP_UL_items", "bones", state, "bones", state, "bone", rows=6)
         row = layout.row(align=True)
         row.operator("multicap.recognise")
         if state.may_write:
@@ -152,8 +145,6 @@ def _draw_armature(state: Any, layout: Any) -> None:
 
 PANELS = (
     MULTICAP_UL_items,
-    MULTICAP_UL_people,
-    MULTICAP_UL_bones,
     MULTICAP_PT_service,
     MULTICAP_PT_captures,
     MULTICAP_PT_character,

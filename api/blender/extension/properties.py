@@ -4,37 +4,28 @@ from typing import Any
 
 import bpy
 
-from api.blender.extension.characters import recognise
+from api.blender.extension.characters import find_armature, known_bones, show_bones, stated_bones
+from api.blender.extension.work import panel_state
+
+MAX_LIVE = 8
+"""Largest number of people of a live capture."""
 
 
-class MulticapCapture(bpy.types.PropertyGroup):
-    """Capture in the list."""
+def _of_bone(_bone: Any, context: Any) -> None:
+    """Know the bones of the armature from now on."""
+    stated_bones(panel_state(context))
+
+
+class MulticapItem(bpy.types.PropertyGroup):
+    """Capture, job, person or joint in a list."""
 
     ident: bpy.props.StringProperty()
     label: bpy.props.StringProperty()
-
-
-class MulticapJob(bpy.types.PropertyGroup):
-    """Job of the chosen capture."""
-
-    ident: bpy.props.StringProperty()
-    label: bpy.props.StringProperty()
-    is_ready: bpy.props.BoolProperty()
-
-
-class MulticapPerson(bpy.types.PropertyGroup):
-    """Person of the chosen job."""
-
-    label: bpy.props.StringProperty()
-    number: bpy.props.IntProperty()  # Place of the file among the job's files
+    is_person: bpy.props.BoolProperty()
+    number: bpy.props.IntProperty()  # Place of a person's file among the job's files
     is_chosen: bpy.props.BoolProperty(name="Import", default=True)
-
-
-class MulticapBone(bpy.types.PropertyGroup):
-    """Bone of the chosen armature that follows a joint."""
-
     joint: bpy.props.StringProperty()
-    bone: bpy.props.StringProperty(name="Bone")
+    bone: bpy.props.StringProperty(name="Bone", update=_of_bone)  # Bone of the chosen armature that follows the joint
 
 
 def _of_capture(state: Any, _context: Any) -> None:
@@ -48,18 +39,21 @@ def _of_job(state: Any, _context: Any) -> None:
 
 
 def _of_armature(state: Any, _context: Any) -> None:
-    """Recognise the bones of an armature as soon as it is chosen."""
+    """Show the bones of an armature as soon as it is chosen."""
     state.bones.clear()
-    if state.armature is not None:
-        recognise(state)
+    if (armature := find_armature(state.armature)) is not None:
+        show_bones(state, known_bones(armature))
 
 
-def _is_armature(panel_state: Any, thing: Any) -> bool:
-    return bool(thing.type == "ARMATURE")
+def _armatures(_state: Any, _context: Any, _text: str) -> list[str]:
+    return [thing.name for thing in bpy.data.objects if thing.type == "ARMATURE"]
 
 
 class MulticapState(bpy.types.PropertyGroup):
-    """Panel's lists and choices; they last as long as Blender runs."""
+    """Panel's lists and choices; they last as long as Blender runs.
+
+    Armatures are names: a pointer of the window manager to an object that is deleted stays, and ends Blender.
+    """
 
     tenant: bpy.props.StringProperty()
     is_connected: bpy.props.BoolProperty()
@@ -69,12 +63,12 @@ class MulticapState(bpy.types.PropertyGroup):
     doing: bpy.props.StringProperty()
     fraction: bpy.props.FloatProperty(default=-1.0)
     search: bpy.props.StringProperty(name="Search", description="Only captures whose names contain this text")
-    captures: bpy.props.CollectionProperty(type=MulticapCapture)
+    captures: bpy.props.CollectionProperty(type=MulticapItem)
     capture: bpy.props.IntProperty(update=_of_capture)
     cursor: bpy.props.StringProperty()
-    jobs: bpy.props.CollectionProperty(type=MulticapJob)
+    jobs: bpy.props.CollectionProperty(type=MulticapItem)
     job: bpy.props.IntProperty(update=_of_job)
-    people: bpy.props.CollectionProperty(type=MulticapPerson)
+    people: bpy.props.CollectionProperty(type=MulticapItem)
     person: bpy.props.IntProperty()
     has_timeline: bpy.props.BoolProperty(
         name="Timeline of the take",
@@ -84,16 +78,21 @@ class MulticapState(bpy.types.PropertyGroup):
     has_cameras: bpy.props.BoolProperty(
         name="Cameras and floor", description="Import the cameras of the capture, and its floor", default=False
     )
-    armature: bpy.props.PointerProperty(
-        type=bpy.types.Object, name="Armature", poll=_is_armature, update=_of_armature,
+    armature: bpy.props.StringProperty(
+        name="Armature", search=_armatures, update=_of_armature,
         description="Armature of the scene that gets the motion of the first chosen person",
     )  # fmt: skip
-    bones: bpy.props.CollectionProperty(type=MulticapBone)
+    bones: bpy.props.CollectionProperty(type=MulticapItem)
     bone: bpy.props.IntProperty()
     live_port: bpy.props.IntProperty(
-        name="Port", description="Port of this machine to which the person is sent: --output vmc://HOST:PORT",
-        default=39539, min=1, max=65535,
+        name="Port", description="Port of this machine to which person 1 is sent: --output vmc://HOST:PORT?people=N",
+        default=39539, min=1, max=65535 - MAX_LIVE,
     )  # fmt: skip
+    live_people: bpy.props.IntProperty(
+        name="People", description="Number of people; each has a port, from the first one on", default=1, min=1,
+        max=MAX_LIVE,
+    )  # fmt: skip
+    take: bpy.props.StringProperty(name="Take", description="Name of the takes; each gets a number", default="Take")
     is_receiving: bpy.props.BoolProperty()
     folder: bpy.props.StringProperty(
         name="Videos", subtype="DIR_PATH", description="Folder with a video of each camera"
@@ -107,6 +106,17 @@ class MulticapState(bpy.types.PropertyGroup):
         default=False,
     )
     name: bpy.props.StringProperty(name="Name", description="Name of the capture; empty: the folder's name")
+
+
+MulticapState.__annotations__.update(
+    {
+        f"live_{number}": bpy.props.StringProperty(
+            name=f"Person {number}", search=_armatures,
+            description="Armature that moves as the person; empty: the extension makes a simple one",
+        )
+        for number in range(1, MAX_LIVE + 1)
+    }
+)  # fmt: skip
 
 
 class MulticapPreferences(bpy.types.AddonPreferences):
@@ -127,10 +137,7 @@ class MulticapPreferences(bpy.types.AddonPreferences):
 
 
 PROPERTIES = (
-    MulticapCapture,
-    MulticapJob,
-    MulticapPerson,
-    MulticapBone,
+    MulticapItem,
     MulticapState,
     MulticapPreferences,
 )

@@ -87,7 +87,7 @@ class Retargeting:
             **_shares(bones.spine, _TRUNK),
             **_shares(bones.neck, _NECK),
         }
-        self._rest_m = _rest_m(motion)
+        self._rest_m = rest_joints_m(motion)
         self._facing = self._to_person(bones)
         self._aligned = self._aligned_axes(bones)
         self._scale, self._lift_m, self._middle_m, self._from_hips_m = self._sizes(bones)
@@ -95,17 +95,16 @@ class Retargeting:
     def frames(self) -> Iterator[PoseFrame]:
         """Poses of all frames."""
         motion = self._motion
-        for frame in range(motion.num_frames):
-            turns: dict[str, Quat] = {}
-            for joint, parent in motion.parents.items():
-                keys = motion.turns.get(joint)
-                own = NO_TURN if keys is None else unit_turn(keys[frame])
-                turns[joint] = own if parent is None else times(turns[parent], own)
-            yield self.pose(turns, motion.roots_m[frame])
+        for frame, root_m in enumerate(motion.roots_m):
+            yield self.pose({joint: unit_turn(keys[frame]) for joint, keys in motion.turns.items()}, root_m)
 
-    def pose(self, joints: Mapping[str, Quat], root_m: Vec) -> PoseFrame:
-        """Pose of the armature for rotations of the person's joints in the world, and the place of the root there."""
+    def pose(self, local: Mapping[str, Quat], root_m: Vec) -> PoseFrame:
+        """Pose of the armature for rotations of the person's joints in their parents, and the place of the root."""
         armature, to_armature = self._armature, inverse(self._armature.turn)
+        joints: dict[str, Quat] = {}
+        for joint, above in self._motion.parents.items():
+            turn = local.get(joint, NO_TURN)
+            joints[joint] = turn if above is None else times(joints[above], turn)
         posed: dict[str, Quat] = {}
         own: dict[str, Quat] = {}
         for name, bone in armature.bones.items():
@@ -114,11 +113,11 @@ class Retargeting:
             else:
                 parent = armature.bones[bone.parent]
                 unposed = times(posed[bone.parent], times(inverse(parent.axes), bone.axes))
-            turn = self._bone_turn(name, joints)
-            if turn is None:
+            bone_turn = self._bone_turn(name, joints)
+            if bone_turn is None:
                 posed[name] = unposed
             else:
-                posed[name] = times(to_armature, times(turn, self._aligned[name]))
+                posed[name] = times(to_armature, times(bone_turn, self._aligned[name]))
                 own[name] = unit_turn(times(inverse(unposed), posed[name]))
         hips = armature.bones[self._hips]
         middle_m = plus(root_m, turned(joints[HIPS], self._middle_m))
@@ -224,7 +223,7 @@ def _shares(bones: Sequence[str], joints: Sequence[str]) -> dict[str, tuple[str,
     return shares
 
 
-def _rest_m(motion: PersonMotion) -> dict[str, Vec]:
+def rest_joints_m(motion: PersonMotion) -> dict[str, Vec]:
     """Places of the person's joints in the rest pose, in metres."""
     places: dict[str, Vec] = {}
     for joint, parent in motion.parents.items():

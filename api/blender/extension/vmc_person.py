@@ -7,6 +7,7 @@ The messages come in packets of OSC 1.0 (https://opensoundcontrol.stanford.edu/s
 library. A packet comes from whoever reaches the port: each length is checked, and bundles nest a few times only.
 """
 
+import math
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -123,6 +124,8 @@ class VmcPerson:
         self._root: tuple[Vec, Quat] = (0.0, 0.0, 0.0), NO_TURN
         self.is_new = False
         """Return whether bones have come since the last pose."""
+        self.time_s: float | None = None
+        """Time of the sender, if it states one."""
 
     def take(self, packet: bytes) -> bool:
         """Take a packet; return whether it is OSC. Messages of other programs and wrong numbers are passed over."""
@@ -134,6 +137,8 @@ class VmcPerson:
         return True
 
     def _take(self, address: str, values: tuple[Any, ...]) -> None:
+        if address == "/VMC/Ext/T" and len(values) == 1 and type(values[0]) in {float, int}:
+            self.time_s = values[0] if math.isfinite(values[0]) else None
         if address not in {"/VMC/Ext/Bone/Pos", "/VMC/Ext/Root/Pos"} or len(values) < 8:
             return
         name, *numbers = values[:8]
@@ -167,13 +172,10 @@ class VmcPerson:
         return PersonMotion(1.0, parents, offsets_m, (), {})
 
     def pose(self) -> tuple[Mapping[str, Quat], Vec]:
-        """Rotations of the joints in the world, and the place of the root in metres."""
+        """Rotations of the joints in their parents, and the place of the root in metres."""
         self.is_new = False
         root_m, root_turn = self._root
-        turns: dict[str, Quat] = {}
-        for joint, parent in _PARENTS.items():
-            above = root_turn if parent is None else turns[parent]
-            turns[joint] = times(above, self._turns.get(joint, NO_TURN))
+        turns = {**self._turns, HIPS: times(root_turn, self._turns[HIPS])}
         return turns, plus(root_m, turned(root_turn, self._places_m[HIPS]))
 
 

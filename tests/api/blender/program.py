@@ -113,14 +113,14 @@ class PanelUser:
             person.is_chosen = number in people
 
     def choose_armature(self, name: str) -> None:
-        self.panel.armature = bpy.data.objects[name]
+        self.panel.armature = name
 
     def open_armature(self, path: str) -> None:
         """Import a character of the user's own, and choose it."""
         before = set(bpy.data.objects)
         bpy.ops.import_scene.gltf(filepath=path)
-        self.panel.armature = next(
-            added for added in bpy.data.objects if added not in before and added.type == "ARMATURE"
+        self.panel.armature = self.panel.live_1 = next(
+            added.name for added in bpy.data.objects if added not in before and added.type == "ARMATURE"
         )
 
     def bones(self) -> dict[str, str]:
@@ -199,7 +199,7 @@ class PanelUser:
         return shown
 
     def receive(self, seconds: float) -> dict[str, Any]:
-        """Receive a live person until the armature moves; return what the panel said, and where bones are."""
+        """Receive live people until armatures move; return what the panel said, and where bones are."""
         live = sys.modules[f"{NAME}.receiver"].live
         with contextlib.suppress(RuntimeError):  # The panel says what is wrong.
             bpy.ops.multicap.receive()
@@ -208,17 +208,74 @@ class PanelUser:
         end_s, num_left = time.monotonic() + seconds, 20
         while self.panel.is_receiving and num_left and time.monotonic() < end_s:
             live.step()
-            num_left -= "moves" in self.panel.message
+            num_left -= "move" in self.panel.message
             time.sleep(0.01)
         said.append(self.panel.message)
+        armature = bpy.data.objects[self.panel.live_1]
+        actions, heads = self._actions(armature), self.heads(armature)
+        if self.panel.is_receiving:
+            bpy.ops.multicap.receive()
+        return {"said": said, "drawn": drawn, "heads": heads, "actions": actions, "after": self._actions(armature)}
+
+    def heads(self, armature: Any) -> dict[str, list[float]]:
         bpy.context.view_layer.update()
-        armature = self.panel.armature
-        heads = {bone.name: list(armature.matrix_world @ bone.head) for bone in armature.pose.bones}
-        actions = [data.action.name for data in (armature.animation_data,) if data is not None and data.action]
-        with contextlib.suppress(RuntimeError):
-            bpy.ops.multicap.stop_receiving()
-        after = [data.action.name for data in (armature.animation_data,) if data is not None and data.action]
-        return {"said": said, "drawn": drawn, "heads": heads, "actions": actions, "after": after}
+        return {bone.name: list(armature.matrix_world @ bone.head) for bone in armature.pose.bones}
+
+    def _actions(self, armature: Any) -> list[str]:
+        return [data.action.name for data in (armature.animation_data,) if data is not None and data.action]
+
+    def record(self, num_people: int, seconds: float, middle: str = "", ends: str = "record") -> dict[str, Any]:
+        """Receive people and record a take of them; return the message, and poses of the actions at their frames.
+
+        ``middle``: what happens in the middle of the take, ``undo`` or an armature that is removed. ``ends``: button
+        that ends the take.
+        """
+        live = sys.modules[f"{NAME}.receiver"].live
+        self.panel.live_people = num_people
+        for name in ("original", "begin"):
+            bpy.ops.ed.undo_push(message=name)
+        bpy.ops.multicap.receive()
+        print("listening")  # noqa: T201 - the test waits for it
+        self._step(live, 30.0, lambda: all(getattr(self.panel, f"live_{n + 1}") for n in range(num_people)))
+        bpy.ops.multicap.record()
+        drawn = self.draw()["MULTICAP_PT_live"]
+        self._step(live, seconds / 2)
+        if middle == "undo":
+            bpy.ops.ed.undo()
+            assert "Person 1" not in bpy.data.objects
+        elif middle:
+            bpy.data.objects.remove(bpy.data.objects[middle])
+        self._step(live, seconds / 2)
+        ended = self.press(ends)
+        if self.panel.is_receiving:
+            bpy.ops.multicap.receive()
+        scene, poses = bpy.context.scene, {}
+        armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+        for frame in range(scene.frame_start, scene.frame_end + 1):
+            scene.frame_set(frame)
+            poses[frame] = {thing.name: self.heads(thing) for thing in armatures}
+        actions = {action.name: list(action.curve_frame_range) for action in bpy.data.actions}
+        own = {thing.name: self._actions(thing) for thing in armatures}
+        return {"ended": ended, "drawn": drawn, "poses": poses, "actions": actions, "own": own}
+
+    def undo(self) -> dict[str, list[str]]:
+        """Undo the last step, and do it again; return the actions before, in between and behind."""
+        actions = {"before": [action.name for action in bpy.data.actions]}
+        for name in ("undo", "redo"):
+            getattr(bpy.ops.ed, name)()
+            actions[name] = [action.name for action in bpy.data.actions]
+        return actions
+
+    def _step(self, live: Any, seconds: float, is_over: Callable[[], bool] = lambda: False) -> None:
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and not is_over():
+            live.step()
+            time.sleep(0.01)
+
+    def choose_live(self, person: int) -> None:
+        """Choose the character for a person of the live capture."""
+        self.panel.live_1 = ""
+        setattr(self.panel, f"live_{person}", self.panel.armature)
 
     def take_port(self, port: int) -> None:
         """Be another program that has the port."""
@@ -226,7 +283,7 @@ class PanelUser:
         self._other.bind(("127.0.0.1", port))
 
     def move_armature(self, place: list[float], degrees: float, size: float) -> None:
-        armature = self.panel.armature
+        armature = bpy.data.objects[self.panel.armature]
         while armature.parent is not None:
             armature = armature.parent
         armature.location, armature.scale = place, armature.scale * size

@@ -1,5 +1,6 @@
 """The extension in Blender, installed from its zip, with a service that runs."""
 
+import contextlib
 import hashlib
 import json
 import os
@@ -7,7 +8,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -26,6 +27,9 @@ from pipeline.export.character.gltf_reader import decode_character
 from pipeline.export.character.mapping import map_bones
 from pipeline.export.results import write_results
 from pipeline.motion.skeleton.model import INDEX, SKELETON, forward_kinematics
+from pipeline.run.live.outputs.fingers import FingerPoses
+from pipeline.run.live.outputs.pattern import LAYOUT, pattern_instants
+from pipeline.run.live.outputs.pattern import RATE_HZ as PATTERN_HZ
 from pipeline.run.live.outputs.runner import LiveOutputs
 from pipeline.run.live.records import LiveInstant, LivePerson, LiveSkeleton
 from tests.api.blender.conftest import WrongService, says
@@ -448,8 +452,8 @@ def test_armature_moves_live(
     sending.join()
     waits, moves = received["said"]
     assert f"waits for a live capture at port {port}" in waits
-    assert moves.endswith("moves as the person of the live capture.")
-    assert received["drawn"] == ["Stop receiving"]
+    assert moves.endswith("moves as the people of the live capture.")
+    assert received["drawn"] == ["Take", "Record take", "Receive live"]
     assert (received["actions"], received["after"]) == ([], ["Zoë K."])
     heads = received["heads"]
     for limb in LIMBS:
@@ -459,6 +463,89 @@ def test_armature_moves_live(
             cosine = own @ way / np.linalg.norm(own) / np.linalg.norm(way)
             assert np.degrees(np.arccos(min(1.0, cosine))) < 0.05, below
     assert scene["actions"]
+
+
+@contextlib.contextmanager
+def sending(port: int, num_people: int) -> Iterator[Callable[[str], None]]:
+    """Send people of the test pattern from the line ``listening`` on."""
+    is_over, begins = threading.Event(), threading.Event()
+
+    def send() -> None:
+        begins.wait()
+        with LiveOutputs([f"vmc://127.0.0.1:{port}?people={num_people}"]) as outputs:
+            outputs.begin(LAYOUT.joints.names, PATTERN_HZ)
+            instant_at, start_s, number = pattern_instants(num_people), time.monotonic(), 0
+            while not is_over.wait(max(0.0, start_s + number / PATTERN_HZ - time.monotonic())):
+                outputs.show(instant_at(number))
+                number = max(number + 1, int((time.monotonic() - start_s) * PATTERN_HZ))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield lambda line: begins.set() if "listening" in line else None
+    finally:
+        is_over.set()
+        begins.set()
+        thread.join()
+
+
+def off_path_m(heads: Mapping[str, list[float]], person: int) -> float:
+    """Distance of a pose from the nearest instant of a person of the test pattern: hips, knee and a finger."""
+    joints, fingers, instant_at = ("Hips", "LeftLeg", "RightHandIndex3"), FingerPoses(LAYOUT.joints.names), PATTERN
+    distances_m = []
+    for number in range(360):
+        skeleton = fingers.with_fingers(instant_at(number)).people[person - 1].skeleton
+        assert skeleton is not None
+        pose_m = skeleton.joint_m[[INDEX[joint] for joint in joints]]
+        distances_m.append(np.abs(np.array([heads[joint] for joint in joints]) - pose_m).max())
+    return min(distances_m)
+
+
+PATTERN = pattern_instants(4)
+
+
+@pytest.mark.parametrize(
+    ("middle", "ends"), [("", "record"), ("", "receive"), ("undo", "record"), ("Armature", "record")]
+)
+def test_take_of_four_people_with_fingers(
+    middle: str, ends: str, live: Live, blender: Callable[..., list[Any]], tmp_path: Path
+) -> None:
+    """Person 2 has a character, the others get simple armatures; a take loses nothing by a stop or what is undone."""
+    path, port = tmp_path / "character.glb", free_port()
+    path.write_bytes(character(bones_of("mixamo"), armature_scale=0.01))
+    with sending(port, 4) as on_line:
+        *_, bones, _, taken, undone = blender(
+            str(live.client.base_url),
+            [
+                ("set_rate", {"fps": 25, "fps_base": 1.0}),
+                ("open_armature", {"path": str(path)}),
+                ("set_panel", {"live_port": port, "take": "Walk"}),
+                ("bones", {}),
+                ("choose_live", {"person": 2}),
+                ("record", {"num_people": 4, "seconds": 4.0, "middle": middle, "ends": ends}),
+                ("undo", {}),
+            ],
+            on_line=on_line,
+        )
+    names = {f"Person {number}": number for number in (1, 3, 4)} | {
+        "Person 2" if middle == "Armature" else "Armature": 2
+    }
+    assert taken["ended"]["message"].startswith("Walk 1: ")
+    assert not taken["ended"]["is_error"]
+    assert taken["drawn"] == ["Take", "Record take", "Receive live"]
+    assert taken["own"] == {name: [f"Walk 1 {name}"] for name in names}
+    (span,) = {tuple(span) for span in taken["actions"].values()}
+    assert (span[0], taken["actions"].keys()) == (1.0, {f"Walk 1 {name}" for name in names})
+    assert span[1] > 50  # of 100 at least, on a busy machine
+    for name, person in names.items():
+        for frame in (5, int(span[1]) // 2, int(span[1]) - 5) if name != "Armature" else ():
+            assert off_path_m(taken["poses"][str(frame)][name], person) < 0.03
+    for name in names:
+        hips = bones["Hips"] if name == "Armature" else "Hips"
+        places_m = np.array([pose[name][hips] for pose in taken["poses"].values()])
+        assert np.ptp(places_m, axis=0).max() > 0.3
+    assert set(undone["before"]) == set(undone["redo"]) == taken["actions"].keys()
+    assert undone["undo"] == []
 
 
 def test_taken_port_is_reported(live: Live, blender: Callable[..., list[Any]], tmp_path: Path) -> None:

@@ -44,15 +44,15 @@ def bone_packet(bone: str, *numbers: float) -> bytes:
 
 def joints_m(person: VmcPerson) -> dict[str, np.ndarray]:
     """World positions of the joints, from the rotations and the offsets at rest."""
-    rest, (turns, root_m) = person.rest(), person.pose()
+    rest, (local, root_m) = person.rest(), person.pose()
     places_m: dict[str, np.ndarray] = {}
+    turns: dict[str, Rotation] = {}
     for joint, parent in rest.parents.items():
-        if parent is None:
-            places_m[joint] = np.array(root_m)
-            continue
-        w, x, y, z = turns[parent]
-        offset_m = Rotation.from_quat([x, y, z, w]).apply(rest.offsets_m[joint])
-        places_m[joint] = places_m[parent] + offset_m
+        own = Rotation.from_quat(local.get(joint, (1.0, 0.0, 0.0, 0.0)), scalar_first=True)
+        turns[joint] = own if parent is None else turns[parent] * own
+        places_m[joint] = np.array(root_m)
+        if parent is not None:
+            places_m[joint] = places_m[parent] + turns[parent].apply(rest.offsets_m[joint])
     return places_m
 
 
@@ -114,12 +114,12 @@ def test_another_person_has_other_bones() -> None:
 def test_extra_bone_turns_bones_above_it() -> None:
     person = VmcPerson()
     person.take(packet(sent(1)))
-    before = person.pose()[0]
+    before = joints_m(person)
     half = np.sqrt(0.5)
     person.take(bone_packet("UpperChest", 0.0, 0.1, 0.0, 0.0, half, 0.0, half))
-    after = person.pose()[0]
-    assert after["Chest"] == before["Chest"]
-    assert after["LeftArm"] != before["LeftArm"]
+    after = joints_m(person)
+    np.testing.assert_allclose(after["Chest"], before["Chest"])
+    assert np.linalg.norm(after["LeftForeArm"] - before["LeftForeArm"]) > 0.1
     assert person.rest().offsets_m["UpperChest"] == pytest.approx((0.0, 0.0, 0.1), abs=1e-6)
 
 
