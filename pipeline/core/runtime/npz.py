@@ -5,9 +5,11 @@ Only plain arrays are written and read, no pickles: a file that was tampered wit
 
 import io
 import math
-from collections.abc import Mapping
+import zlib
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.lib import format as npy
@@ -60,3 +62,19 @@ def open_archive(content: bytes | Path | BinaryIO) -> NpzFile:
     """Open an archive, or the file that holds it. An array is read when it is asked for."""
     opened: NpzFile = np.load(io.BytesIO(content) if isinstance(content, bytes) else content, allow_pickle=False)
     return opened
+
+
+def read_strange(path: Path, names: Collection[str], max_bytes: int) -> dict[str, np.ndarray]:
+    """Read arrays of a file that a stranger made; ``ValueError`` states the reason why they can't be read."""
+    try:
+        with path.open("rb") as file, open_archive(file) as archive:
+            entries: Any = archive.zip
+            is_small = sum(entry.file_size for entry in entries.infolist()) <= max_bytes
+            arrays = {name: np.asarray(archive[name]) for name in names if is_small}
+    except FileNotFoundError:
+        raise ValueError("it does not exist") from None
+    except (OSError, ValueError, LookupError, TypeError, MemoryError, EOFError, RuntimeError, BadZipFile, zlib.error):
+        raise ValueError(f"it lacks one of the arrays {', '.join(names)}, or is damaged") from None
+    if not is_small:
+        raise ValueError("it is too large")
+    return arrays

@@ -5,12 +5,10 @@ The file is licensed by its makers, and nothing of it is a part of this package.
 (vertices, 55) and ``kintree_table`` (2, 55). Other arrays, some of which are pickles, are not read.
 """
 
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.request_codes import INVALID_VALUE
-from pipeline.core.runtime.npz import open_archive
+from pipeline.core.runtime.npz import read_strange
 from pipeline.motion.body.smplx_joints import JOINT_MAP, NUM_BODY, SMPLX_JOINTS
 
 NUM_BETAS = 10
-_MOST_VERTICES, _MOST_BYTES = 100_000, 2**30
+_MOST_VERTICES, MOST_BYTES = 100_000, 2**30
 _NAMES = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table")
 
 
@@ -68,15 +66,12 @@ def read_model(path: Path, landmarks: tuple[str, ...]) -> SmplxModel:
     Raises ``InputError`` if the file is no model of SMPL-X.
     """
     try:
-        with ZipFile(path) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        arrays = {}
-        if size <= _MOST_BYTES:
-            with open_archive(path) as opened:
-                arrays = {name: np.asarray(opened[name]) for name in _NAMES}
+        arrays = read_strange(path, _NAMES, MOST_BYTES)
         fault = _fault(arrays)
-    except (OSError, ValueError, LookupError, TypeError, MemoryError, EOFError, RuntimeError, BadZipFile, zlib.error):
-        fault = f"it lacks one of the arrays {', '.join(_NAMES)}, or is damaged"
+    except ValueError as error:
+        fault = str(error)
+    except (LookupError, TypeError):
+        fault = "its arrays have other shapes"
     if fault is not None:
         message = f"The file is no NPZ model of SMPL-X: {fault}."
         hint = "Use SMPLX_NEUTRAL.npz, SMPLX_FEMALE.npz or SMPLX_MALE.npz of its makers."
@@ -99,8 +94,6 @@ def read_model(path: Path, landmarks: tuple[str, ...]) -> SmplxModel:
 
 def _fault(arrays: Mapping[str, np.ndarray]) -> str | None:
     """Reason why arrays are no model; ``None``: they are one."""
-    if not arrays:
-        return "it is too large"
     num, joints, shapes = len(arrays["v_template"]), len(SMPLX_JOINTS), arrays["shapedirs"].shape[-1]
     expected = (num, 3), (num, 3, shapes), (num, 3, 9 * (joints - 1)), (joints, num), (num, joints), (2, joints)
     for (name, array), shape in zip(arrays.items(), expected, strict=True):

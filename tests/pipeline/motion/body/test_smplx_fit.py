@@ -135,11 +135,12 @@ def test_shape_and_pose_come_back_from_joints_and_points(file: Path) -> None:
     assert np.degrees(between.magnitude()).max() < 10.0
 
 
-def test_command_writes_fitted_body_beside_file(file: Path, tmp_path: Path) -> None:
+def person_arrays(file: Path) -> dict[str, np.ndarray]:
+    """Arrays of a person's NPZ, whose joints and points are a model's."""
     model = read_model(file, LANDMARKS)
     joints_m, points_m = targets(model, np.zeros(10), np.tile(np.eye(3), (4, NUM_BODY, 1, 1)))
     facts = {"gender": "neutral", "surface_model_type": "smplx", "mocap_frame_rate": 25.0, "pose_names": SMPLX_JOINTS}
-    content = {
+    return {
         **{name: np.array(value) for name, value in facts.items()},
         "frame": np.arange(4),
         "is_present": np.ones(4, bool),
@@ -149,6 +150,10 @@ def test_command_writes_fitted_body_beside_file(file: Path, tmp_path: Path) -> N
         "landmark_names": np.array(LANDMARKS),
         "landmarks_m": points_m,
     }
+
+
+def test_command_writes_fitted_body_beside_file(file: Path, tmp_path: Path) -> None:
+    content = person_arrays(file)
     (tmp_path / "person-1.npz").write_bytes(encode_arrays(content))
     arguments = ["bodies", "fit", str(tmp_path / "person-1.npz"), "--body-model", str(file)]
     assert CliRunner().invoke(app, arguments).exit_code == 0
@@ -174,6 +179,41 @@ def test_mutated_models_are_read_or_refused(file: Path, tmp_path: Path, number: 
             messages += [error.problems[0].message]
     assert messages
     assert all(message.startswith("The file is no NPZ model of SMPL-X: ") for message in messages)
+
+
+def fit_of(content: bytes, folder: Path) -> str:
+    """Output of the command for a person's file and a model that is missing; a trace is an error."""
+    (folder / "person-1.npz").write_bytes(content)
+    arguments = ["bodies", "fit", str(folder / "person-1.npz"), "--body-model", str(folder / "none.npz")]
+    result = CliRunner().invoke(app, arguments)
+    assert isinstance(result.exception, SystemExit), result.exception
+    return " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("number", [10, pytest.param(100, marks=pytest.mark.slow)])
+def test_mutated_people_are_read_or_refused(file: Path, tmp_path: Path, number: int) -> None:
+    """The model is asked for after the person, and is missing."""
+    whole, random = encode_arrays(person_arrays(file)), np.random.default_rng(6)
+    assert "no NPZ model of SMPL-X: it does not exist" in fit_of(whole, tmp_path)
+    outputs = {fit_of(mutated(whole, random), tmp_path) for _ in range(number)}
+    assert any("The file is no NPZ of a person: " in output for output in outputs)
+    assert all("The file is no NPZ" in output for output in outputs)
+
+
+@pytest.mark.parametrize(
+    ("name", "array"),
+    [
+        ("landmarks_m", np.zeros((4, 2, 3))),
+        ("landmark_names", np.array(["tail"] * 7)),
+        ("joint_names", np.array("Hips")),
+        ("joints_m", np.array(1.0)),
+        ("frame", np.array(4)),
+        ("poses", np.full((4, 165), np.nan)),
+    ],
+)
+def test_person_of_other_arrays_is_refused(file: Path, tmp_path: Path, name: str, array: np.ndarray) -> None:
+    output = fit_of(encode_arrays(person_arrays(file) | {name: array}), tmp_path)
+    assert "The file is no NPZ of a person: its" in output
 
 
 @pytest.mark.parametrize("name", ["v_template", "shapedirs", "kintree_table"])
