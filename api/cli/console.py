@@ -274,6 +274,7 @@ class StageBars:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=console,
+            auto_refresh=console.is_terminal,  # to a file only the last state is written
             disable=not visible,
         )
         self._tasks: dict[str, TaskID] = {}

@@ -333,11 +333,7 @@ def join_poses(chunks: Iterable[Poses3D]) -> Poses3D:
 
 
 def _linked_rows(
-    poses: Poses3D,
-    timebase: Timebase,
-    skeleton: Skeleton,
-    parameters: ClusteringParameters,
-    on_share: OnShare = ignore,
+    poses: Poses3D, timebase: Timebase, skeleton: Skeleton, parameters: ClusteringParameters, on_share: OnShare = ignore
 ) -> list[np.ndarray]:
     """Rows of each person's poses, in order of time."""
     frames = np.unique(poses.frame)

@@ -270,11 +270,7 @@ class Likenesses:
 
 
 def find_likenesses(
-    tracks: Sequence[Track3D],
-    sees: Sees,
-    cameras: Sequence[Camera],
-    joints: JointSet,
-    frame_rate_hz: float,
+    tracks: Sequence[Track3D], sees: Sees, cameras: Sequence[Camera], joints: JointSet, frame_rate_hz: float
 ) -> Likenesses:
     """Find who never moves, and who is another person's mirror image.
 
@@ -350,10 +346,7 @@ def without_likenesses(
         kept[chains[number]] = True
     parts = np.split(kept, np.cumsum([len(some.frame) for some in poses])[:-1])
     return [
-        replace(
-            some,
-            **{name: getattr(some, name)[chosen] for name in ("frame", "xyz_m", "points_px", "score")},
-        )
+        replace(some, **{name: getattr(some, name)[chosen] for name in ("frame", "xyz_m", "points_px", "score")})
         for some, chosen in zip(poses, parts, strict=True)
     ]
 

@@ -53,15 +53,14 @@ def find_candidates(rays: SeenRays, limbs: LimbPair) -> SideCandidates:
     exchanged, cost = np.zeros((num_frames, 1, num_cameras), bool), np.zeros((num_frames, 1))
     is_first = np.ones(num_frames, bool)
     for camera in range(num_cameras):
-        pairs = gain[:, None, camera, :camera]
-        before = exchanged[:, :, :camera]
-        kept, other = np.where(before, pairs, 0.0).sum(-1), np.where(before, 0.0, pairs).sum(-1)
+        pairs, before = gain[:, camera, :camera, None], exchanged[:, :, :camera].astype(float)
+        kept, other = (before @ pairs)[..., 0], ((1.0 - before) @ pairs)[..., 0]
         may_exchange = (sees[:, camera] & ~is_first)[:, None]
-        following = np.concatenate([exchanged, exchanged], axis=1)
-        following[:, exchanged.shape[1] :, camera] = True
         costs = np.concatenate([cost + kept, np.where(may_exchange, cost + other, np.inf)], axis=1)
         best = np.argsort(costs, axis=1, kind="stable")[:, :_BEAM]
-        exchanged = np.take_along_axis(following, best[..., None], axis=1)
+        is_exchanged, kept_row = np.divmod(best, cost.shape[1])
+        exchanged = exchanged[np.arange(num_frames)[:, None], kept_row]
+        exchanged[:, :, camera] = is_exchanged
         cost = np.take_along_axis(costs, best, axis=1)
         is_first &= ~sees[:, camera]
     missing = max(0, NUM_CANDIDATES - cost.shape[1])
@@ -78,28 +77,38 @@ def _gains(rays: SeenRays, limbs: LimbPair) -> Float[np.ndarray, "frames cameras
     """
     num_frames, num_cameras = rays.weight.shape[:2]
     gain = np.zeros((num_frames, num_cameras, num_cameras))
-    for first in range(num_cameras - 1):
-        total = np.zeros((num_frames, num_cameras - first - 1))
-        for left, right in zip(limbs.left, limbs.right, strict=True):
-            far, weight = _far(rays, first, [left, right])
+    moment_m, score = np.cross(rays.center_m[:, None], rays.direction), np.sqrt(rays.weight)
+    for left, right in zip(limbs.left, limbs.right, strict=True):
+        sides = [left, right]
+        lines = rays.direction[:, :, sides], moment_m[:, :, sides], score[:, :, sides]
+        for first in range(num_cameras - 1):
+            far, weight = _far(lines, first)
             for here, there in (((0, 0), (0, 1)), ((1, 1), (1, 0)), ((0, 0), (1, 0)), ((1, 1), (0, 1))):
-                least = np.minimum(weight[..., *here], weight[..., *there])
-                total += least * (far[..., *there] - far[..., *here]) / 2
-        gain[:, first, first + 1 :] = gain[:, first + 1 :, first] = total
-    return gain
+                least = np.minimum(weight[:, here[0], :, here[1]], weight[:, there[0], :, there[1]])
+                loss = far[:, there[0], :, there[1]] - far[:, here[0], :, here[1]]
+                gain[:, first, first + 1 :] += least * loss / 2
+    return gain + gain.swapaxes(1, 2)
 
 
 def _far(
-    rays: SeenRays, first: int, sides: list[int]
-) -> tuple[Float[np.ndarray, "frames later 2 2"], Float[np.ndarray, "frames later 2 2"]]:
-    """Distances between rays of a joint's two sides in a view and in all later ones, from 0 to 1; and their weights."""
-    direction, weight = rays.direction[:, first:, sides], rays.weight[:, first:, sides]
-    here, there = direction[:, :1], direction[:, 1:].swapaxes(-1, -2)
-    sine2 = 1.0 - (here @ there) ** 2
-    baseline_m = rays.center_m[first + 1 :] - rays.center_m[first]
-    apart_m2 = (np.cross(baseline_m[:, None], here) @ there) ** 2
+    lines: tuple[np.ndarray, np.ndarray, np.ndarray], first: int
+) -> tuple[Float[np.ndarray, "frames 2 later 2"], Float[np.ndarray, "frames 2 later 2"]]:
+    """Distances between rays of a joint's two sides in a view and in all later ones, from 0 to 1; and their weights.
+
+    ``lines``: directions, moments and scores of both sides in all views. The distance of two lines is the reciprocal
+    product of their Plücker coordinates over the sine of their angle.
+    """
+    here = [values[:, first] for values in lines]
+    shape = (len(here[0]), 2, -1, 2)
+    direction, moment_m, score = (
+        values[:, first + 1 :].reshape(len(values), -1, *values.shape[3:]) for values in lines
+    )
+    direction, moment_m = direction.swapaxes(1, 2), moment_m.swapaxes(1, 2)
+    sine2 = 1.0 - (here[0] @ direction) ** 2
+    apart_m2 = (here[0] @ moment_m + here[1] @ direction) ** 2
     apart_m2 = np.where(sine2 > _LEAST_SINE2, apart_m2 / np.maximum(sine2, _LEAST_SINE2), 0.0)
-    return apart_m2 / (apart_m2 + SCALE_M**2), np.sqrt(weight[:, :1, :, None] * weight[:, 1:, None])
+    far, weight = apart_m2 / (apart_m2 + SCALE_M**2), here[2][:, :, None] * score[:, None]
+    return far.reshape(shape), weight.reshape(shape)
 
 
 # Scales of the function of Geman and McClure, one a step.
@@ -121,22 +130,23 @@ def locate_limbs(
     rays: SeenRays, limbs: LimbPair, exchanged: Bool[np.ndarray, "frames candidates cameras"]
 ) -> LocatedLimbs:
     """Triangulate the joints of both limbs for each candidate, robustly (iteratively reweighted least squares)."""
-    here = exchanged[..., None]
-    direction = np.where(
-        here[..., None], rays.direction[:, None, :, limbs.exchanged], rays.direction[:, None, :, limbs.both]
-    )
-    weight = np.where(here, rays.weight[:, None, :, limbs.exchanged], rays.weight[:, None, :, limbs.both])
-    across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
-    is_located = (weight > 0).sum(2) >= 2
+    here = exchanged[:, :, None]
+    direction, weight = rays.direction.swapaxes(1, 2)[:, None], rays.weight.swapaxes(1, 2)[:, None]
+    direction = np.where(here[..., None], direction[:, :, limbs.exchanged], direction[:, :, limbs.both])
+    weight = np.where(here, weight[:, :, limbs.exchanged], weight[:, :, limbs.both])
+    along_m = (direction * rays.center_m).sum(-1)
+    is_located = (weight > 0).sum(-1) >= 2
     robust = weight
     for scale_m in _SCALES_M:
-        normal = (robust[..., None, None] * across).sum(2) + _INERTIA * np.eye(3)
-        right = np.einsum("fkcj,fkcjab,cb->fkja", robust, across, rays.center_m)
+        # Sums over the views of I - d dᵀ, which leaves what is across a ray with direction d.
+        normal = (robust.sum(-1) + _INERTIA)[..., None, None] * np.eye(3)
+        normal -= (robust[..., None] * direction).swapaxes(-1, -2) @ direction
+        right = robust @ rays.center_m - ((robust * along_m)[..., None, :] @ direction)[..., 0, :]
         xyz_m = np.linalg.solve(normal, right[..., None])[..., 0]
-        off_m = np.einsum("fkcjab,fkcjb->fkcja", across, xyz_m[:, :, None] - rays.center_m[:, None])
-        off_m2 = (off_m**2).sum(-1)
+        from_center_m2 = ((xyz_m[..., None, :] - rays.center_m) ** 2).sum(-1)
+        off_m2 = np.maximum(from_center_m2 - ((direction @ xyz_m[..., None])[..., 0] - along_m) ** 2, 0.0)
         robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
-    residual = np.where(is_located[:, :, None], weight * off_m2 / (off_m2 + SCALE_M**2), 0.0).sum((2, 3))
+    residual = np.where(is_located[..., None], weight * off_m2 / (off_m2 + SCALE_M**2), 0.0).sum((2, 3))
     is_located &= np.linalg.eigvalsh(normal)[..., 0] > _LEAST_EIGENVALUE
     xyz_m = np.where(is_located[..., None], xyz_m, np.nan)
     return LocatedLimbs(xyz_m.reshape(*xyz_m.shape[:2], 2, len(limbs.left), 3), residual)

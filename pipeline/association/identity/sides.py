@@ -158,9 +158,13 @@ def _states(
     timebase: Timebase,
     min_score: float,
 ) -> LimbStates:
-    rays = [_rays(person, frames, cameras, min_score) for frames in (moments.first, moments.last)]
-    first, last = (locate_limbs(of_moments, limbs, moments.exchanged) for of_moments in rays)
-    return limb_states(moments, first, last, rays[0].select_joints(limbs.both), timebase.frame_rate_hz)
+    rays = _rays(person, moments.first, cameras, min_score)
+    first = locate_limbs(rays, limbs, moments.exchanged)
+    last_m, rows = first.xyz_m.copy(), moments.last != moments.first
+    later = _rays(person, moments.last[rows], cameras, min_score)
+    last_m[rows] = locate_limbs(later, limbs, moments.exchanged[rows]).xyz_m
+    last = first._replace(xyz_m=last_m)
+    return limb_states(moments, first, last, rays.select_joints(limbs.both), timebase.frame_rate_hz)
 
 
 def _located_ends(

@@ -185,11 +185,7 @@ _LENGTHS_S = 10.0
 
 
 def track_animals(
-    cameras: Sequence[Camera],
-    times: Mapping[str, FrameTimes],
-    timebase: Timebase,
-    own: OwnDetections,
-    method: Method,
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], timebase: Timebase, own: OwnDetections, method: Method
 ) -> tuple[SceneObject, ...]:
     """Track animals, and locate their points in the frames of the take; none without animals.
 

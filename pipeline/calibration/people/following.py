@@ -32,18 +32,6 @@ class _Growing:
     times_s: list[float] = field(default_factory=list)
     points_px: list[np.ndarray] = field(default_factory=list)
 
-    def predicted_px(self, time_s: float) -> np.ndarray:
-        """Joints at the mean velocity of the body over the last frames; NaN for joints not seen in the last one."""
-        if len(self.times_s) < 2:
-            return self.points_px[-1]
-        back = max(0, len(self.times_s) - 4)
-        moved = self.points_px[-1] - self.points_px[back]
-        is_known = np.isfinite(moved).all(-1)
-        if not is_known.any():
-            return self.points_px[-1]
-        velocity = _medians(moved[is_known].T) / (self.times_s[-1] - self.times_s[back])
-        return self.points_px[-1] + velocity * (time_s - self.times_s[-1])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
@@ -56,8 +44,7 @@ class Followed:
     @property
     def height_px(self) -> float:
         """Median height of the body in the image: the larger side of the box around its joints."""
-        extent: np.ndarray = np.nanmax(self.points_px, axis=1) - np.nanmin(self.points_px, axis=1)
-        return float(np.median(extent.max(-1)))
+        return float(np.median(_extents_px(self.points_px)))
 
 
 def follow_bodies(
@@ -68,13 +55,14 @@ def follow_bodies(
     ``names`` are the joints that are followed.
     """
     points_px = _chosen(detected, joints, names)
-    starts = np.searchsorted(detected.frame, np.arange(len(time_s) + 1))
+    is_body = np.isfinite(points_px).all(-1).sum(-1) >= _MIN_JOINTS
+    points_px = points_px[is_body]
+    starts = np.searchsorted(detected.frame[is_body], np.arange(len(time_s) + 1))
     done: list[_Growing] = []
     growing: list[_Growing] = []
     for frame in np.unique(detected.frame):
         now_s = float(time_s[frame])
         bodies = points_px[starts[frame] : starts[frame + 1]]
-        bodies = bodies[np.isfinite(bodies).all(-1).sum(-1) >= _MIN_JOINTS]
         kept = [tracklet for tracklet in growing if now_s - tracklet.times_s[-1] <= MAX_GAP_S]
         done += [tracklet for tracklet in growing if now_s - tracklet.times_s[-1] > MAX_GAP_S]
         growing, ended = _continued(kept, bodies, now_s)
@@ -102,20 +90,19 @@ def _continued(
     """
     shift = np.full((len(growing), len(bodies)), np.inf)
     if len(growing) and len(bodies):
-        predicted = np.array([tracklet.predicted_px(now_s) for tracklet in growing])
-        shift = _shifts(predicted, bodies)
-    limited = np.minimum(shift, 10.0)
-    rows, columns = linear_sum_assignment(limited) if shift.size else (np.empty(0, int), np.empty(0, int))
+        shift = _shifts(_predicted_px(growing, now_s), bodies)
+    rows, columns = linear_sum_assignment(np.minimum(shift, 10.0))
     going, ended = [], []
     taken: set[int] = set()
-    matched: dict[int, int] = {int(row): int(column) for row, column in zip(rows, columns, strict=True)}
+    matched = dict(zip(rows.tolist(), columns.tolist(), strict=True))
     for number, tracklet in enumerate(growing):
         column = matched.get(number)
         if column is None or shift[number, column] > _MAX_SHIFT:
             going.append(tracklet)
             continue
-        rivals = np.concatenate([np.delete(shift[number], column), np.delete(shift[:, column], number)])
-        if shift[number, column] > _AMBIGUOUS * rivals.min(initial=np.inf):
+        of_tracklet, of_body = shift[number].tolist(), shift[:, column].tolist()
+        own = of_tracklet.pop(column)
+        if own > _AMBIGUOUS * min(of_tracklet + of_body[:number] + of_body[number + 1 :], default=np.inf):
             ended.append(tracklet)
             continue
         tracklet.times_s.append(now_s)
@@ -124,6 +111,18 @@ def _continued(
         going.append(tracklet)
     going += [_Growing([now_s], [body]) for column, body in enumerate(bodies) if column not in taken]
     return going, ended
+
+
+def _predicted_px(growing: Sequence[_Growing], time_s: float) -> Float[np.ndarray, "tracklets joints 2"]:
+    """Joints at the mean velocity of the body over the last frames; NaN for joints not seen in the last one."""
+    last_px = np.array([tracklet.points_px[-1] for tracklet in growing])
+    last_s = np.array([tracklet.times_s[-1] for tracklet in growing])
+    moved = last_px - np.array([tracklet.points_px[-4:][0] for tracklet in growing])
+    since_s = last_s - np.array([tracklet.times_s[-4:][0] for tracklet in growing])
+    moved[~np.isfinite(moved).all(-1)] = np.nan
+    velocity = _medians(moved.swapaxes(1, 2)) / np.where(since_s > 0, since_s, 1.0)[:, None]
+    velocity[np.isnan(velocity)] = 0.0
+    return np.asarray(last_px + (velocity * (time_s - last_s)[:, None])[:, None])
 
 
 def _shifts(
@@ -135,12 +134,16 @@ def _shifts(
     enough = is_known.sum(-1) >= _MIN_JOINTS
     median = np.full(enough.shape, np.inf)
     median[enough] = _medians(distance[enough])
-    extent: np.ndarray = np.nanmax(bodies_px, axis=1) - np.nanmin(bodies_px, axis=1)
-    return median / np.maximum(extent.max(-1), 1.0)
+    return median / np.maximum(_extents_px(bodies_px), 1.0)
 
 
-def _medians(values: Float[np.ndarray, "n joints"]) -> Float[np.ndarray, " n"]:
+def _extents_px(points_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, " n"]:
+    """Larger side of the box around each body's joints."""
+    return np.asarray((np.fmax.reduce(points_px, axis=1) - np.fmin.reduce(points_px, axis=1)).max(-1))
+
+
+def _medians(values: Float[np.ndarray, "*n joints"]) -> Float[np.ndarray, "*n"]:
     """Medians of each row without its NaN; for small arrays much faster than NumPy's."""
-    count = np.isfinite(values).sum(-1)
-    ordered, rows = np.sort(values, axis=-1), np.arange(len(values))
-    return (ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2
+    count = np.isfinite(values).sum(-1).ravel()
+    ordered, rows = np.sort(values, axis=-1).reshape(-1, values.shape[-1]), np.arange(len(count))
+    return np.asarray((ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2).reshape(values.shape[:-1])

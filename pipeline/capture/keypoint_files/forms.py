@@ -34,16 +34,17 @@ def frame_endings() -> frozenset[str]:
     return frozenset(suffix for reader in single for suffix in reader.suffixes) - {TEXT}
 
 
-def list_readers(path: Path) -> list[KeypointReader]:
+@cache
+def list_readers(ending: str) -> list[KeypointReader]:
     """Readers of files with an ending, by their ranks."""
-    return [reader for reader in keypoint_readers() if path.suffix.lower() in reader.suffixes]
+    return [reader for reader in keypoint_readers() if ending.lower() in reader.suffixes]
 
 
 def load(path: Path, max_bytes: int) -> Any:
     """Content of a file as its readers take it: parsed JSON, bytes, an array; see ``KeypointReader.load``."""
     if path.stat().st_size > max_bytes:
         raise KeypointsError(f"The file is larger than {max_bytes // 2**20} MiB.")
-    return list_readers(path)[-1].load(path)
+    return list_readers(path.suffix)[-1].load(path)
 
 
 def find_reader(path: Path, content: Any) -> KeypointReader:
@@ -52,7 +53,7 @@ def find_reader(path: Path, content: Any) -> KeypointReader:
     Raises ``KeypointsError`` if JSON has the fields of several formats, ``UnreadableError`` if no format has such
     content.
     """
-    known = list_readers(path)
+    known = list_readers(path.suffix)
     if isinstance(content, dict):
         owners = {reader: field for reader in known for field in reader.fields if field in content}
         if len(owners) > 1:

@@ -31,22 +31,8 @@ _PARTS: Mapping[str, str] = {
 }
 # Further words of names of human points: points of layouts of people alone, without a shoulder or a hip, are an error.
 _HUMAN = {
-    *(
-        "head",
-        "face",
-        "neck",
-        "chin",
-        "forehead",
-        "mouth",
-        "lip",
-        "jaw",
-        "top",
-        "of",
-        "mid",
-        "center",
-        "middle",
-        "small",
-    ),
+    *("head", "face", "neck", "chin", "forehead", "mouth", "lip", "jaw", "top"),
+    *("of", "mid", "center", "middle", "small"),
     *("chest", "thorax", "sternum", "torso", "trunk", "spine", "pelvis", "hips", "shoulders", "hand", "palm", "thumb"),
     *("index", "ring", "pinky", "finger", "fingers", "fingertip", "tip", "mcp", "pip", "dip", "foot", "toes", "midhip"),
 }

@@ -65,7 +65,7 @@ def _unlinked(
     """Report cameras that agree with no other camera, and why."""
     moving = np.zeros(len(cameras))
     for motion in motions:
-        moving[motion.camera] += np.nan_to_num(np.minimum(1.0, motion.path())).sum()
+        moving[motion.camera] += np.nan_to_num(np.minimum(1.0, motion.path)).sum()
     spans_s = [times[camera.name].time_s[[0, -1]] + offsets[k] * STEP_S for k, camera in enumerate(cameras)]
     for split in splits:
         if split.gain.max(initial=0.0) >= _MIN_GAIN:

@@ -1,9 +1,10 @@
 """Groups: motions of several cameras that are one person, and the pairs of motions that are compared."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from pipeline.capture.synchronization.motions import BodyMotion
 from pipeline.capture.synchronization.pair_curves import match_motions, pair_values
@@ -11,30 +12,43 @@ from pipeline.capture.synchronization.refine_clocks import Match
 from pipeline.core.data.cameras import Camera
 
 
-def match_people(
+def match_pairs(
     cameras: Sequence[Camera],
     motions: Sequence[BodyMotion],
     offsets: Int[np.ndarray, " cameras"],
     pairs: Sequence[Match],
-) -> list[Match]:
-    """Match motions of all cameras at coarse offsets.
+) -> list[list[tuple[float, int, int]]]:
+    """Match the motions of each pair of cameras at coarse offsets, in grid steps of each camera's own time.
 
-    The best matches join motions to people, as long as no camera sees a person twice at an instant. Then all motions of
-    a person are compared with each other, also those whose cameras disagree more than ``pairs`` allows. Offsets are of
-    each camera's own time, in grid steps; ``pairs`` of cameras are compared. Returns pairs of numbers of motions, in
-    order.
+    Returns for each pair the agreement of motions that match, see ``pair_values``, and their numbers; the best first.
     """
-    candidates: list[tuple[float, int, int]] = []
+    numbers: list[list[int]] = [[] for _ in cameras]
+    for number, motion in enumerate(motions):
+        numbers[motion.camera].append(number)
+    matched = []
     for first, second in pairs:
-        left = [number for number, motion in enumerate(motions) if motion.camera == first]
-        right = [number for number, motion in enumerate(motions) if motion.camera == second]
-        lag = int(offsets[second] - offsets[first])
-        value = _values(cameras, [motions[k] for k in left], [motions[k] for k in right], lag)
-        matched = match_motions([motions[k] for k in left], [motions[k] for k in right], value, lag)
-        candidates += [(float(value[a, b]), left[a], right[b]) for a, b in matched]
+        left, right, lag = numbers[first], numbers[second], int(offsets[second] - offsets[first])
+        sides = [motions[k] for k in left], [motions[k] for k in right]
+        value = pair_values(cameras, *sides, np.array([lag]))[..., 0]
+        matches = match_motions(*sides, value, lag)
+        matched.append([(float(value[a, b]), left[a], right[b]) for a, b in matches])
+    return matched
+
+
+def match_people(
+    matched: Sequence[Sequence[tuple[float, int, int]]],
+    motions: Sequence[BodyMotion],
+    offsets: Int[np.ndarray, " cameras"],
+    pairs: Sequence[Match],
+) -> list[Match]:
+    """Join matched motions to people, the best first, as long as no camera sees a person twice at an instant.
+
+    Then all motions of a person are compared with each other, also those whose cameras disagree more than ``pairs``
+    allows. ``matched`` is the result of ``match_pairs``. Returns pairs of numbers of motions, in order.
+    """
     members: dict[int, list[int]] = {number: [number] for number in range(len(motions))}
     group = list(range(len(motions)))
-    for _, left_motion, right_motion in sorted(candidates, key=lambda match: (-match[0], match[1:])):
+    for _, left_motion, right_motion in sorted(itertools.chain(*matched), key=lambda match: (-match[0], match[1:])):
         a, b = group[left_motion], group[right_motion]
         if a != b and not _sees_twice(members[a], members[b], motions, offsets):
             for number in members[b]:
@@ -49,14 +63,6 @@ def match_people(
         if (motions[number].camera, motions[other].camera) in wanted
         and _shares(motions[number], motions[other], offsets)
     )
-
-
-def _values(
-    cameras: Sequence[Camera], left: Sequence[BodyMotion], right: Sequence[BodyMotion], lag: int
-) -> Float[np.ndarray, "left right"]:
-    if not left or not right:
-        return np.zeros((len(left), len(right)))
-    return pair_values(cameras, left, right, np.array([lag]))[..., 0]
 
 
 def _span(motion: BodyMotion, offsets: Int[np.ndarray, " cameras"]) -> range:

@@ -45,23 +45,16 @@ class BodyMotion:
     points: Float[np.ndarray, "steps joints 2"]
     speed: Float[np.ndarray, "steps joints 2"]  # Their change in a second
     tolerance: float  # Error of a joint up to which it fits, on the normalised image plane
+    path: Float[np.ndarray, "steps joints"]  # Path of each joint during a grid step, in tolerances; NaN where not seen
 
     @property
     def stop(self) -> int:
         """Grid point after the last one."""
         return self.first + len(self.points)
 
-    def path(self) -> Float[np.ndarray, "steps joints"]:
-        """Path of each joint during a grid step, in tolerances; NaN where it is not seen."""
-        path: np.ndarray = np.linalg.norm(self.speed, axis=-1) * STEP_S / self.tolerance
-        return path
-
 
 def find_motions(
-    cameras: Sequence[Camera],
-    times: Mapping[str, FrameTimes],
-    detections: Mapping[str, Detections],
-    joints: JointSet,
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections], joints: JointSet
 ) -> list[BodyMotion]:
     """Follow bodies through each camera's frames, and sample them; no motions if no camera has two frames."""
     periods_s = [
@@ -85,7 +78,8 @@ def _sampled(number: int, camera: Camera, body: Followed, kernel_s: float) -> Bo
     points = _ideal(camera, body.points_px)
     value, slope = _local_lines(body.times_s, points, STEP_S * np.arange(first, stop), kernel_s)
     tolerance = max(_TOLERANCE * body.height_px, _MIN_TOLERANCE_PX) / float(camera.matrix[0, 0])
-    return BodyMotion(number, first, read_only(value), read_only(slope), tolerance)
+    path = read_only(np.linalg.norm(slope, axis=-1) * STEP_S / tolerance)
+    return BodyMotion(number, first, read_only(value), read_only(slope), tolerance, path)
 
 
 def _ideal(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:

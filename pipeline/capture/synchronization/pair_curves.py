@@ -142,7 +142,7 @@ def _prepare(motion: BodyMotion, essential: Float[np.ndarray, "3 3"], stride: in
     lines = motion.points @ essential[:, :2].T + essential[:, 2]
     x, y = (np.ascontiguousarray(motion.points[..., axis], np.float32) for axis in (0, 1))
     u, v, w = (np.ascontiguousarray(lines[..., axis], np.float32) for axis in (0, 1, 2))
-    novelty = np.nan_to_num(np.minimum(1.0, motion.path() * stride / _NOVEL_PATH)).astype(np.float32)
+    novelty = np.nan_to_num(np.minimum(1.0, motion.path * stride / _NOVEL_PATH)).astype(np.float32)
     return _Prepared(motion, novelty, x, y, u, v, w, u**2 + v**2)
 
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.capture.synchronization.groups import match_people
+from pipeline.capture.synchronization.groups import match_pairs, match_people
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion, find_motions
-from pipeline.capture.synchronization.pair_curves import compare_pair
 from pipeline.capture.synchronization.refine_clocks import refine_clocks
 from pipeline.capture.synchronization.synchronize import NOTHING_KNOWN, camera_clocks, shows_drift, synchronize
 from pipeline.core.data.cameras import Camera, CameraClock, FrameTimes
@@ -51,10 +50,7 @@ class RemainingOffset:
 
 
 def remaining_offsets(
-    cameras: Sequence[Camera],
-    times: Mapping[str, FrameTimes],
-    detections: Mapping[str, Detections],
-    joints: JointSet,
+    cameras: Sequence[Camera], times: Mapping[str, FrameTimes], detections: Mapping[str, Detections], joints: JointSet
 ) -> tuple[RemainingOffset, ...]:
     """Measure the error of declared times from people in motion, for checks before or after a take.
 
@@ -72,8 +68,9 @@ def remaining_offsets(
     if len({motion.camera for motion in motions}) < len(cameras):
         return ()
     pairs = strongest_pairs(motions, len(cameras))
-    offsets = _offsets(_refined(cameras, times, motions, pairs), times)
-    shares = _shares(cameras, motions, pairs)
+    matched = match_pairs(cameras, motions, np.zeros(len(cameras), int), pairs)
+    offsets = _offsets(_refined(cameras, times, motions, matched, pairs), times)
+    shares = _shares(len(cameras), motions, matched, pairs)
     agreeing = {
         offset.camera: 0.0
         for offset, share in zip(offsets, shares, strict=True)
@@ -93,7 +90,7 @@ def strongest_pairs(motions: Sequence[BodyMotion], num_cameras: int) -> list[tup
     num_steps = round(1.0 / STEP_S)
     second = np.array([step // num_steps for motion in motions for step in range(motion.first, motion.stop)], int)
     camera = np.repeat([motion.camera for motion in motions], [len(motion.points) for motion in motions]).astype(int)
-    moving = [np.minimum(1.0, np.nan_to_num(motion.path())).sum(1) for motion in motions]
+    moving = [np.minimum(1.0, np.nan_to_num(motion.path)).sum(1) for motion in motions]
     seconds, column = np.unique(second, return_inverse=True)
     seen = np.zeros((num_cameras, len(seconds)))
     np.add.at(seen, (camera, column), np.concatenate(moving) if moving else [])
@@ -113,11 +110,12 @@ def _refined(
     cameras: Sequence[Camera],
     times: Mapping[str, FrameTimes],
     motions: Sequence[BodyMotion],
+    matched: Sequence[Sequence[tuple[float, int, int]]],
     pairs: Sequence[tuple[int, int]],
 ) -> Sequence[CameraClock]:
-    """Clocks near the declared times."""
+    """Clocks near the declared times, from the motions that match there."""
     start = np.zeros(len(cameras), int)
-    matches = match_people(cameras, motions, start, pairs)
+    matches = match_people(matched, motions, start, pairs)
     fine = refine_clocks(
         cameras, motions, matches, start.astype(float), shows_drift(motions), max_instants=_INSTANTS, max_steps=_STEPS
     )
@@ -125,15 +123,17 @@ def _refined(
 
 
 def _shares(
-    cameras: Sequence[Camera], motions: Sequence[BodyMotion], pairs: Sequence[tuple[int, int]]
+    num_cameras: int,
+    motions: Sequence[BodyMotion],
+    matched: Sequence[Sequence[tuple[float, int, int]]],
+    pairs: Sequence[tuple[int, int]],
 ) -> Float[np.ndarray, " cameras"]:
     """Agreement of each camera with its partners at the declared times, as a share of the joints in motion."""
-    gain, weight = np.zeros(len(cameras)), np.zeros(len(cameras))
-    moving = np.zeros(len(cameras))
+    gain, weight, moving = np.zeros((3, num_cameras))
     for motion in motions:
-        moving[motion.camera] += np.nan_to_num(np.minimum(1.0, motion.path())).sum()
-    for pair in pairs:
-        gain[list(pair)] += compare_pair(cameras, pair, motions, np.zeros(1, int)).gain[0]
+        moving[motion.camera] += np.nan_to_num(np.minimum(1.0, motion.path)).sum()
+    for pair, matches in zip(pairs, matched, strict=True):
+        gain[list(pair)] += sum(value for value, _, _ in matches)
         weight[list(pair)] += moving[list(pair)].min()
     return gain / np.maximum(weight, 1e-9)
 

@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from pipeline.capture.synchronization.clock_checks import find_doubts
 from pipeline.capture.synchronization.coarse import find_splits, likely_lags, shift_curve, solve_offsets
-from pipeline.capture.synchronization.groups import match_people
+from pipeline.capture.synchronization.groups import match_pairs, match_people
 from pipeline.capture.synchronization.motions import STEP_S, BodyMotion, find_motions
 from pipeline.capture.synchronization.pair_curves import PairCurve, compare_pair
 from pipeline.capture.synchronization.refine_clocks import FineClocks, refine_clocks
@@ -74,7 +74,8 @@ def synchronize(
     offsets = solve_offsets(curves, len(cameras))
     on_share(0.8)
     splits = [shift_curve(curves, offsets, group) for group in find_splits(curves, len(cameras))]
-    matches = match_people(cameras, motions, offsets, [(curve.first, curve.second) for curve in curves])
+    compared = [(curve.first, curve.second) for curve in curves]
+    matches = match_people(match_pairs(cameras, motions, offsets, compared), motions, offsets, compared)
     fine = refine_clocks(cameras, motions, matches, offsets * STEP_S, shows_drift(motions))
     clocks = camera_clocks(cameras, times, fine)
     late_s = _late_s(times, clocks)
@@ -191,7 +192,5 @@ def _evidence(
     offset_s = {shift: shift * STEP_S - late_s + clock.start_s for shift in sorted(weight)}
     shown = [shift for shift, value_s in offset_s.items() if abs(value_s - clock.offset_s) <= _SHOWN_S]
     return ClockEvidence(
-        clock.camera,
-        tuple(offset_s[shift] for shift in shown),
-        tuple(cost[shift] / weight[shift] for shift in shown),
+        clock.camera, tuple(offset_s[shift] for shift in shown), tuple(cost[shift] / weight[shift] for shift in shown)
     )

@@ -140,7 +140,7 @@ def measure_shifts(
     xyz_m = triangulate(projection_matrices(cameras), ideal_px[:, :, None], weights)[:, 0]
     for _ in range(_POINT_STEPS):
         views = _views(cameras, xyz_m, seen_px)
-        xyz_m = xyz_m + _newton_step(views.normal.sum(1), views.gradient.sum(1))
+        xyz_m = xyz_m + _newton_step(views.all_normal, views.all_gradient)
     views = _views(cameras, xyz_m, seen_px)
     with np.errstate(invalid="ignore"):
         low, high = (reduce(points_px, axis=2) for reduce in (np.fmin.reduce, np.fmax.reduce))
@@ -161,6 +161,10 @@ class _Views:
     by_point: Float[np.ndarray, "points cameras 2 3"]
     normal: Float[np.ndarray, "points cameras 3 3"]
     gradient: Float[np.ndarray, "points cameras 3"]
+    # Number and sums of each point's used views
+    num_used: Int[np.ndarray, " points"]
+    all_normal: Float[np.ndarray, "points 3 3"]
+    all_gradient: Float[np.ndarray, "points 3"]
 
 
 def _views(
@@ -188,7 +192,8 @@ def _views(
     weight = np.where(used, (_TAIL + 2.0) / (_TAIL + squared) / sigma_px**2, 0.0)
     weighted = by_point * weight[..., None, None]
     normal = weighted.swapaxes(-1, -2) @ by_point
-    return _Views(used, sigma_px, by_point, normal, (weighted * residual_px[..., None]).sum(-2))
+    gradient = (weighted * residual_px[..., None]).sum(-2)
+    return _Views(used, sigma_px, by_point, normal, gradient, used.sum(1), normal.sum(1), gradient.sum(1))
 
 
 def _is_regular(normal: Float[np.ndarray, "*batch 3 3"], least: float) -> Bool[np.ndarray, "*batch"]:
@@ -216,11 +221,12 @@ def _measured_shift(
     instant: Int[np.ndarray, " bodies"],
 ) -> CameraShift | None:
     """Fit the shift of a camera to its residuals; ``None`` if it sees too few people together with two others."""
-    others = views.normal.sum(1) - views.normal[:, number]
-    rows = np.flatnonzero(views.used[:, number] & (views.used.sum(1) >= 3) & _is_regular(others, _MIN_DETERMINANT))
-    covariance = np.linalg.inv(others[rows])
+    rows = np.flatnonzero(views.used[:, number] & (views.num_used >= 3))
+    others = views.all_normal[rows] - views.normal[rows, number]
+    is_regular = _is_regular(others, _MIN_DETERMINANT)
+    rows, covariance = rows[is_regular], np.linalg.inv(others[is_regular])
     # Without this camera the point is a Newton step away.
-    gradient = views.gradient[rows].sum(1) - views.gradient[rows, number]
+    gradient = views.all_gradient[rows] - views.gradient[rows, number]
     projected = linearise(camera, xyz_m[rows] + (covariance @ gradient[..., None])[..., 0])
     residual_px, by_shift = seen_px[rows] - projected.points_px, projected.by_camera[..., _PARAMETERS]
     is_known = np.isfinite(residual_px).all(-1)

@@ -30,13 +30,7 @@ from pipeline.run.engine.local_tasks import FilesDestination, LocalJob, TaskPool
 from pipeline.run.engine.methods import clustering_parameters, tracking_parameters
 from pipeline.run.engine.output_folder import OutputFolder, output_folder
 from pipeline.run.engine.plan import STAGE_BY_NAME, STAGES, plan
-from pipeline.run.engine.stage import (
-    DETECT,
-    EXPORT,
-    LOOK,
-    WRITE,
-    SessionFacts,
-)
+from pipeline.run.engine.stage import DETECT, EXPORT, LOOK, WRITE, SessionFacts
 from pipeline.run.engine.take import assemble
 from pipeline.run.session_check.verdict import require_cameras
 from pipeline.video.frame_rate import measured_rate_hz

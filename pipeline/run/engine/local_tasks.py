@@ -28,14 +28,7 @@ from pipeline.export.character.source import CharacterSource
 from pipeline.export.results import not_written
 from pipeline.run.engine.output_folder import OutputFolder
 from pipeline.run.engine.plan import STAGE_BY_NAME, PlannedStage, interim_readers
-from pipeline.run.engine.stage import (
-    Context,
-    Origin,
-    ResultFile,
-    SessionFacts,
-    TakeFiles,
-    Task,
-)
+from pipeline.run.engine.stage import Context, Origin, ResultFile, SessionFacts, TakeFiles, Task
 from pipeline.video.images.files import folder_sha256
 
 # How names of folders begin, beside the results, whose files are not whole, and the file that their processes lock.

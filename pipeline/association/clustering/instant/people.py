@@ -69,9 +69,7 @@ class _Sight:
         return xyz_m
 
     def miss_m(
-        self,
-        xyz_m: Float[np.ndarray, "poses joints 3"],
-        candidate: Int[np.ndarray, "poses joints cameras"],
+        self, xyz_m: Float[np.ndarray, "poses joints 3"], candidate: Int[np.ndarray, "poses joints cameras"]
     ) -> Float[np.ndarray, "poses joints cameras"]:
         """Distance of joints to the rays of their candidates in metres, NaN where either is missing."""
         planes = self.planes[candidate]
@@ -244,10 +242,7 @@ def _renamed(candidates: Candidates, candidate: Int[np.ndarray, "people joints c
 
 
 def _share(
-    sight: _Sight,
-    candidates: Candidates,
-    candidate: Int[np.ndarray, "people joints cameras"],
-    eps_m: float,
+    sight: _Sight, candidates: Candidates, candidate: Int[np.ndarray, "people joints cameras"], eps_m: float
 ) -> Float[np.ndarray, "people joints 3"]:
     """Give each joint the candidates that agree with it, whatever body they are part of, and locate it (eq. 4).
 

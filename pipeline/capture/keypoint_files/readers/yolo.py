@@ -19,13 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.capture.keypoint_files.keypoint_reader import reader
-from pipeline.capture.keypoint_files.people import (
-    KeypointsError,
-    People,
-    check_number,
-    is_detected,
-    no_people,
-)
+from pipeline.capture.keypoint_files.people import KeypointsError, People, check_number, is_detected, no_people
 from pipeline.capture.keypoint_files.points import CANDIDATES, KeypointReading
 from pipeline.core.joints import COCO_17
 from pipeline.core.parsing import UnreadableError
