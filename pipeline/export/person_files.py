@@ -4,13 +4,13 @@ import contextlib
 import errno
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from pipeline.core.data.animation import SkeletonMotion
+from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.laboratory import Laboratory
@@ -29,6 +29,7 @@ from pipeline.export.writers.registry import PersonContent, find_writer
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.motion.angles.compute import JointAngles, joint_angles
 from pipeline.motion.balance.compute import Balance, balance_of
+from pipeline.motion.forces.person_forces import PersonForces, forces_of
 from pipeline.motion.skeleton.model import forward_kinematics
 
 SKELETONS = "skeletons"
@@ -58,11 +59,23 @@ class PersonOfTake:
     own_names: tuple[str, ...]
     laboratory: Laboratory | None = None  # Records of a laboratory beside the cameras
     shapes: tuple[RigidShape, ...] = ()  # Rigid objects
+    floor: Floor | None = None
+    others: tuple[Track3D, ...] = ()  # Other people of the take
+
+    def forces(self) -> PersonForces | None:
+        """Forces of the person; those of the last person who was asked are kept."""
+        return _forces(self)
 
     @property
     def all_points(self) -> Track3D:
         """Joints, and points of the user's own behind them."""
         return self.track if self.own is None else joined(self.track, self.own)
+
+
+@lru_cache(maxsize=1)
+def _forces(person: PersonOfTake) -> PersonForces | None:
+    of_take = person.floor, person.others, person.laboratory, person.timebase
+    return forces_of(person.motion, person.track, person.joints, person.subject, *of_take)
 
 
 def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
@@ -76,18 +89,19 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
         subject = take.subject_of(track.track_id)
         of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
         own = take.own.of_person(number), take.own.names, take.laboratory, take.own.shapes
-        yield PersonOfTake(track, motion, *of_take, *own)
+        others = take.animation.floor, tuple(other for other in take.tracks if other is not track)
+        yield PersonOfTake(track, motion, *of_take, *own, *others)
 
 
 @dataclass(frozen=True, slots=True)
 class KeptFile:
     """A file that was written before."""
 
-    # Largest distance between joints read back and their true positions; ``None`` without any joint, and for angles
+    # Largest distance between joints read back and their true positions; ``None`` without joints
     distance_mm: float | None
     # Place at which interpolated angles are farthest off, for formats with angles
     between: BetweenFrames | None = None
-    difference_deg: float | None = None  # Largest difference of angles read back; ``None`` without any angle
+    difference: float | None = None  # Largest difference of angles or forces read back; ``None`` without any
 
 
 class KeptFiles:
@@ -119,7 +133,8 @@ def write_person(
         found = kept.find(person, name, path)
         if found is None:
             # Writing takes about as long as reading.
-            found = _written(person, name, path, preset, skeleton_m, angles, balance, sub_share(on_file, 0.5, 1.0))
+            computed = skeleton_m, angles, balance
+            found = _written(person, name, path, preset, *computed, sub_share(on_file, 0.5, 1.0))
             kept.keep(person, name, path, found)
         on_file(1.0)
         yield name, found
@@ -162,6 +177,7 @@ def _written(
         skeleton_m,
         angles,
         balance,
+        person.forces,
         person.own,
         person.own_names,
         person.laboratory,
@@ -171,8 +187,8 @@ def _written(
     expected = writer.expected(content)
     with replacing(path, writer.encode(content)) as part:
         read = writer.read(part, preset)
-        if holds == "angles":
-            return KeptFile(None, difference_deg=furthest(path, person.frames, expected, read, on_read))
+        if holds in {"angles", "forces"}:
+            return KeptFile(None, difference=furthest(path, writer.frames(content), expected, read, on_read))
         distance_mm = furthest_mm(path, writer.frames(content), expected, read, on_read)
     return KeptFile(distance_mm, writer.between_frames(content))
 

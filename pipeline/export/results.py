@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -32,10 +32,11 @@ from pipeline.export.quality.world_checks import failed_check
 from pipeline.export.resample import resample
 from pipeline.export.scene import file_origin_m, take_scene
 from pipeline.export.timelines import held
-from pipeline.export.writers import c3d_file, csv_table, skeletons_json, trc
+from pipeline.export.writers import c3d_file, csv_table, force_tables, skeletons_json, trc
 from pipeline.export.writers.angle_tables import BALANCE, balance_table, gait_tables
 from pipeline.export.writers.registry import find_writer
 from pipeline.motion.balance.compute import balance_of
+from pipeline.motion.forces.person_forces import forces_document
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.skeleton.model import forward_kinematics
 
@@ -54,7 +55,9 @@ RIGID = "rigid.csv"
 CALIBRATION = "calibration.json"
 """Refined cameras, in the format that ``pipeline.calibration.write`` writes and every command reads."""
 
-_DECIMALS_MM, _DECIMALS_DEG = 4, 4
+_DECIMALS_MM, _DECIMALS = 4, 4
+# Units of the largest differences in files of numbers, by what the files hold.
+_UNITS = {"angles": "_deg", "forces": "_si"}
 
 
 def no_file(_: Path) -> None:
@@ -208,6 +211,12 @@ def write_files(
         paths.append(path)
         on_file(path)
 
+    def keep(path: Path, pieces: Iterable[bytes]) -> None:
+        with person_files.replacing(path, pieces) as part:
+            _require_equal(part, path, pieces)
+        complete(path)
+
+    figures: list[dict[str, Any]] = []
     written: dict[str, dict[int, person_files.KeptFile]] = {name: {} for name in (person_files.SKELETONS, *exports)}
     on_people = split(sub_share(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
@@ -219,6 +228,8 @@ def write_files(
                 written[name][person.track.track_id] = file
                 if name != person_files.SKELETONS:
                     complete(of_person[name])
+            for path, pieces in _loads(person, folder, figures) if "forces" in exports else ():
+                keep(path, pieces)
         path = folder / "skeletons.json"
         with person_files.replacing(path, skeletons_json.join(shown, tracks)) as part:
             _require_equal(part, path, skeletons_json.join(shown, tracks))
@@ -230,30 +241,21 @@ def write_files(
             complete(of_takes.path(export))
         on_take(1.0)
     check = {
-        name: _angles_found_in(people_files.values())
-        if any(export == name and form.holds == "angles" for export, form in FILE_FORMATS.items())
+        name: _differences_in(people_files.values(), unit)
+        if (unit := _UNITS.get(next((form.holds for export, form in FILE_FORMATS.items() if export == name), "")))
         else _found_in(people_files, of_takes.distances_mm.get(name))
         for name, people_files in written.items()
     }
-    origin_m = file_origin_m(shown.cameras)
-    for export in exports:
-        if origin_m.any() and find_writer(export).has_origin:
+    if (origin_m := file_origin_m(shown.cameras)).any():
+        for export in filter(lambda export: find_writer(export).has_origin, exports):
             check[export]["origin_m"] = origin_m.tolist()
-    if "csv" in exports:
-        for path, pieces in _tables(shown, folder):
-            with person_files.replacing(path, pieces) as part:
-                _require_equal(part, path, pieces)
-            complete(path)
-    for path, pieces in _object_files(shown, folder, exports):
-        with person_files.replacing(path, pieces) as part:
-            _require_equal(part, path, pieces)
-        complete(path)
+    tables = _tables(shown, folder) if "csv" in exports else ()
+    for path, pieces in chain(tables, _object_files(shown, folder, exports)):
+        keep(path, pieces)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
-        path = folder / CALIBRATION
-        with person_files.replacing(path, [encode_calibration(reconstruction.cameras)]):
-            pass
-        complete(path)
-    path, metrics = folder / METRICS, report(reconstruction) | {"exports": check}
+        keep(folder / CALIBRATION, [encode_calibration(reconstruction.cameras)])
+    asked = {"forces": figures} if "forces" in exports else {}
+    path, metrics = folder / METRICS, report(reconstruction) | asked | {"exports": check}
     if of_takes.too_large:
         metrics["capture_checks"] = [*metrics["capture_checks"], *of_takes.too_large]
     with person_files.replacing(path, [encode_metrics(metrics)]):
@@ -298,6 +300,23 @@ def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[byt
         if (balance := balance_of(motion, track, take.joints, take.subject_of(track.track_id))) is not None:
             tables.append((BALANCE, list(balance_table(balance, take.timebase))))
         yield from ((folder / f"person-{track.track_id}.{kind}.csv", pieces) for kind, pieces in tables)
+
+
+def _loads(
+    person: person_files.PersonOfTake, folder: Path, figures: list[dict[str, Any]]
+) -> Iterator[tuple[Path, list[bytes]]]:
+    """Path and content of the files with external loads for OpenSim; none of a person whose mass is unknown.
+
+    The figures of the person's forces are added to ``figures``.
+    """
+    forces, number = person.forces(), person.track.track_id
+    if forces is None:
+        return
+    figures.append(forces_document(forces, number))
+    if forces.mass_kg is not None:
+        path = folder / f"person-{number}.forces.mot"
+        yield path, list(force_tables.external_loads(forces, person.timebase, person.frames, path.name))
+        yield path.with_suffix(".xml"), [force_tables.external_loads_setup(path.name)]
 
 
 def _object_files(
@@ -395,10 +414,10 @@ def _require_equal(part: Path, path: Path, pieces: Iterable[bytes]) -> None:
             raise person_files.spoilt(path)
 
 
-def _angles_found_in(files: Iterable[person_files.KeptFile]) -> dict[str, Any]:
-    """Entry of ``metrics.json`` about the files of a format with joint angles."""
-    found_deg = [file.difference_deg for file in files if file.difference_deg is not None]
-    return {"max_difference_deg": round(max(found_deg), _DECIMALS_DEG) if found_deg else None}
+def _differences_in(files: Iterable[person_files.KeptFile], unit: str) -> dict[str, Any]:
+    """Entry of ``metrics.json`` about the files of a format with joint angles, or with forces."""
+    found = [file.difference for file in files if file.difference is not None]
+    return {f"max_difference{unit}": round(max(found), _DECIMALS) if found else None}
 
 
 def _found_in(people_files: Mapping[int, person_files.KeptFile], of_take_mm: float | None) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import typer
 
 from tests.benchmarks.cancel import cancel
 from tests.benchmarks.export import export
+from tests.benchmarks.forces import forces
 from tests.benchmarks.identity import identity
 from tests.benchmarks.joint_centers import joint_centers
 from tests.benchmarks.length import length
@@ -13,7 +14,7 @@ from tests.benchmarks.queue import queue
 from tests.benchmarks.service import service
 
 app = typer.Typer(no_args_is_help=True)
-for command in (cancel, export, identity, joint_centers, length, live_people, load, queue, service):
+for command in (cancel, export, forces, identity, joint_centers, length, live_people, load, queue, service):
     app.command()(command)
 
 if __name__ == "__main__":

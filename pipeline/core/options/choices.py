@@ -69,7 +69,8 @@ class FileFormat(Value):
         Media type (RFC 6838), as the service sends it.
     holds
         ``motion``: rotations of the skeleton; ``joints``: positions of the detected joints; ``angles``: joint angles;
-        ``recording``: one file of the take with all that was seen and found; ``model``: a model of the body.
+        ``forces``: forces and moments; ``recording``: one file of the take with all that was seen and found;
+        ``model``: a model of the body.
     writer
         Reference of the ``pipeline.export.writers.registry.Writer``, ``package.module:name``, or ``.module:name`` in
         ``pipeline.export.writers``; ``None`` for formats that stages of their own make.
@@ -94,7 +95,7 @@ class FileFormat(Value):
     """
 
     media_type: str
-    holds: Literal["motion", "joints", "angles", "recording", "model"]
+    holds: Literal["motion", "joints", "angles", "forces", "recording", "model"]
     writer: str | None = None
     has_body: bool = False
     has_presets: bool = False

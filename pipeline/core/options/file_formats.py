@@ -118,6 +118,18 @@ Export = (
         FileFormat("MOT, joint angles for OpenSim", _TEXT, "angles", ".angle_tables:MOT", size=FileSize(1_000, 260)),
     ]
     | Annotated[
+        Literal["forces"],
+        FileFormat(
+            "CSV, forces and joint moments",
+            _CSV,
+            "forces",
+            ".force_tables:CSV",
+            note="With a mass, files for OpenSim's inverse dynamics too.",
+            ending="forces.csv",
+            size=FileSize(8_000, 1_300),
+        ),
+    ]
+    | Annotated[
         Literal["osim"],
         FileFormat(
             "OpenSim, scaled model and its motion",

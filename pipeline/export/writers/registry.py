@@ -28,6 +28,7 @@ from pipeline.export.writers.body_mesh import BodyChoice
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.motion.angles.compute import JointAngles
 from pipeline.motion.balance.compute import Balance
+from pipeline.motion.forces.person_forces import PersonForces
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +49,9 @@ class PersonContent:
         World position that is the origin of files of single precision.
     preset, body
         Convention of BVH and FBX files; body of files that have one.
-    skeleton_m, angles, balance
-        World positions of the skeleton's joints, joint angles in degrees, and centre of mass and balance, in the frames
-        of the track, each computed once.
+    skeleton_m, angles, balance, forces
+        World positions of the skeleton's joints, joint angles in degrees, centre of mass and balance, and forces, in
+        the frames of the track, each computed once.
     own, own_names
         Points of the user's own in the frames of the track, and their names. In files of joints they are behind the
         joints in ``track`` and ``joints``, too.
@@ -79,6 +80,7 @@ class PersonContent:
     skeleton_m: Callable[[], Float[np.ndarray, "_ joints 3"]]
     angles: Callable[[], JointAngles]
     balance: Callable[[], Balance | None] = lambda: None
+    forces: Callable[[], PersonForces | None] = lambda: None
     own: Track3D | None = None
     own_names: tuple[str, ...] = ()
     laboratory: Laboratory | None = None

@@ -77,7 +77,7 @@ class FilesInPieces(KeptFiles):
         found = json.loads(head)
         between = found["between"]
         farthest = None if between is None else BetweenFrames(**between)
-        return KeptFile(found["distance_mm"], farthest, found["difference_deg"])
+        return KeptFile(found["distance_mm"], farthest, found["difference"])
 
     def keep(self, person: PersonOfTake, name: str, path: Path, kept: KeptFile) -> None:
         """Keep a copy of a person's file, unless another package has the format: its next version may differ."""
@@ -91,13 +91,15 @@ class FilesInPieces(KeptFiles):
 
     def _key(self, person: PersonOfTake, name: str) -> str:
         if self._digested is None or self._digested[0] is not person:
-            unnamed = replace(person, motion=replace(person.motion, name=_NOBODY))
+            unnamed = replace(person, motion=replace(person.motion, name=_NOBODY), floor=None, others=())
             self._digested = person, self._pieces.key(unnamed)
         holds_name = any(
             name == export and find_writer(export).holds_name for export in formats_of_people(FILE_FORMATS)
         )
         named = person.motion.name if holds_name else _NOBODY
-        return self._pieces.key(name, self._digested[1], named)
+        # Forces depend on the floor, and on people who may touch the person.
+        of_take = (person.floor, *(other.xyz_m for other in person.others)) if name == "forces" else ()
+        return self._pieces.key(name, self._digested[1], named, *of_take)
 
 
 class TakeInPieces:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _CHOICES = ("exports", "preset", "output_rate_hz", "timeline", "body", "segments", "sex", "mass_kg")
 # People, or edits, named by a warning.
 _MAX_NAMED = 10
+_XML = "application/xml"
 
 
 @stage.declared(
@@ -141,7 +142,8 @@ def _result_file(path: Path, names: Mapping[int, str]) -> stage.ResultFile:
         if ending == file_ending(name):
             return stage.ResultFile(path.name, name, person, file_format.media_type, path, person_name)
     if person is not None:
-        # Tables of events, strides and balance.
-        kind, _, _ = ending.partition(".")
-        return stage.ResultFile(path.name, kind, person, FILE_FORMATS["csv"].media_type, path, person_name)
+        # Tables of events, strides and balance, and OpenSim's external loads.
+        kind, _, form = ending.partition(".")
+        media_type = {"csv": FILE_FORMATS["csv"].media_type, "mot": FILE_FORMATS["mot"].media_type}.get(form, _XML)
+        return stage.ResultFile(path.name, kind, person, media_type, path, person_name)
     return stage.ResultFile(path.name, path.stem, None, "application/json", path)

@@ -82,7 +82,7 @@ def wrong_fields(live: Live, spec: object) -> list[tuple[str, str, str]]:
             {"exports": ["bvh", "zip"]},
             "/exports/1",
             "value_not_allowed",
-            "exports[1] must be one of bvh, glb, fbx, usd, vrma, trc, c3d, csv, npz, angles, mot, osim, rerun.",
+            "exports[1] must be one of bvh, glb, fbx, usd, vrma, trc, c3d, csv, npz, angles, mot, forces, osim, rerun.",
         ),
         ({"exports": ["bvh", "bvh"]}, "/exports", "export_repeated", "exports must name each format once."),
         ({"colour": 1}, "/colour", "unknown_field", f"There is no field colour here. The fields are {SPEC_FIELDS}."),

@@ -1,0 +1,1 @@
+"""Forces without plates: of the whole body, of each foot, and moments and powers of joints."""

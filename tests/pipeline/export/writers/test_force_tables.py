@@ -1,0 +1,82 @@
+"""Files of forces: CSV, and external loads that OpenSim applies to feet."""
+
+import csv
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from pipeline.capture.points import SessionMaker
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.export.timelines import read_rows
+from pipeline.run.engine.local import reconstruct_to_files
+from pipeline.validation.simulation.motion.script import Gesture
+from tests.pipeline.motion.forces.physical_people import truth_of
+from tests.pipeline.motion.gait.walks import exercise
+
+ACT = exercise(Gesture.SQUAT)
+MASS_KG = 70.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Files of a person of 70 kg and of the same person with an unknown mass."""
+    path = tmp_path_factory.mktemp("forces")
+    points_m = truth_of(ACT).xyz_m[:150]
+    session = SessionMaker.from_points(points_m, ACT.joints.names, ACT.rate_hz, "m")
+    for name, mass_kg in (("massive", MASS_KG), ("unknown", None)):
+        reconstruct_to_files(session, path / name, ReconstructionConfig(exports=("forces",), mass_kg=mass_kg))
+    return path
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="ascii", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_csv_has_a_row_a_frame_in_newtons(folder: Path) -> None:
+    rows = rows_of(folder / "massive" / "person-1.forces.csv")
+    assert [row["frame"] for row in rows] == [str(number) for number in range(150)]
+    weight_n = np.median([float(row["force_z_n"]) for row in rows])
+    assert weight_n == pytest.approx(MASS_KG * 9.81, rel=0.02)
+    feet_n = float(rows[75]["left_force_z_n"]) + float(rows[75]["right_force_z_n"])
+    assert feet_n == pytest.approx(float(rows[75]["force_z_n"]), abs=0.001)
+    assert {"left_knee_flexion_nm", "right_hip_flexion_sigma_nm", "left_ankle_w", "may_touch_person"} <= rows[0].keys()
+
+
+def test_unknown_mass_gives_forces_for_each_kilogram(folder: Path) -> None:
+    each, whole = (rows_of(folder / name / "person-1.forces.csv") for name in ("unknown", "massive"))
+    assert float(each[75]["force_z_n_kg"]) * MASS_KG == pytest.approx(float(whole[75]["force_z_n"]), abs=0.01)
+    assert not list((folder / "unknown").glob("*.mot"))
+
+
+def test_external_loads_are_forces_on_axes_of_opensim(folder: Path) -> None:
+    rows = rows_of(folder / "massive" / "person-1.forces.csv")
+    with (folder / "massive" / "person-1.forces.mot").open() as file:
+        head = [next(file).strip() for _ in range(6)]
+        names = next(file).split()
+        values = np.concatenate(list(read_rows(file, "\t")))
+    assert head[2:] == ["nRows=150", "nColumns=19", "inDegrees=yes", "endheader"]
+    assert len(values) == 150
+    assert np.isfinite(values).all()
+    for side in ("left", "right"):
+        force = [values[75, names.index(f"{side}_ground_force_v{axis}")] for axis in "xyz"]
+        x, y, z = (float(rows[75][f"{side}_force_{axis}_n"]) for axis in "xyz")
+        assert force == pytest.approx([x, z, -y], abs=1e-4)
+        place = [values[75, names.index(f"{side}_ground_force_p{axis}")] for axis in "xyz"]
+        x, y, z = (float(rows[75][f"{side}_pressure_{axis}_m"]) for axis in "xyz")
+        assert place == pytest.approx([x, z, -y], abs=1e-4)
+
+
+def test_setup_applies_each_force_to_its_foot(folder: Path) -> None:
+    root = ElementTree.parse(folder / "massive" / "person-1.forces.xml").getroot()  # noqa: S314 - our own file
+    bodies = {force.get("name"): force.findtext("applied_to_body") for force in root.iter("ExternalForce")}
+    assert bodies == {"left": "calcn_l", "right": "calcn_r"}
+    assert root.findtext("ExternalLoads/datafile") == "person-1.forces.mot"
+
+
+def test_metrics_have_figures_of_forces(folder: Path) -> None:
+    text = (folder / "massive" / "metrics.json").read_text()
+    assert '"flight_residual_bw": null' in text
+    assert '"max_difference_si"' in text

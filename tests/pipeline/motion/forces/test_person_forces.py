@@ -1,0 +1,183 @@
+"""Forces of simulated people, whose true forces are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.core.data.cameras import Timebase
+from pipeline.core.data.laboratory import LaboratoryStart
+from pipeline.core.data.reconstruction import Subject
+from pipeline.motion.balance.compute import GRAVITY_M_S2
+from pipeline.motion.forces.joint_moments import MOMENT_NAMES
+from pipeline.motion.forces.person_forces import PersonForces, forces_document, forces_of, touching
+from pipeline.validation.simulation.motion.script import Gesture
+from tests.pipeline.motion.forces.physical_people import estimated, solved, truth_of
+from tests.pipeline.motion.gait.walks import Act, body_only, exercise, walk
+from tests.pipeline.motion.laboratory.simulated_plates import MASS_KG, plates_m, simulated
+
+WALK, SQUAT = walk(1.2), exercise(Gesture.SQUAT)
+JUMP = exercise(Gesture.COUNTERMOVEMENT_JUMP)
+
+
+def errors_bw(act: Act, forces: PersonForces) -> np.ndarray:
+    return (forces.total - truth_of(act).force) / GRAVITY_M_S2
+
+
+def test_force_on_body_is_near_true_force() -> None:
+    of_walk, of_squat = (np.sqrt((errors_bw(act, estimated(act)) ** 2).mean(0)) for act in (WALK, SQUAT))
+    assert of_walk[2] < 0.06
+    assert (of_walk[:2] < 0.03).all()
+    assert (of_squat < 0.02).all()
+
+
+def test_mass_scales_all_forces() -> None:
+    each, whole = estimated(SQUAT), estimated(SQUAT, mass_kg=80.0)
+    for name in ("total", "total_sigma"):
+        np.testing.assert_allclose(getattr(whole, name), 80.0 * getattr(each, name))
+    np.testing.assert_allclose(whole.joints.moment, 80.0 * each.joints.moment)
+    np.testing.assert_allclose(whole.feet.force, 80.0 * each.feet.force)
+    assert whole.weight == pytest.approx(80.0 * GRAVITY_M_S2)
+
+
+@pytest.mark.parametrize("act", [WALK, SQUAT, JUMP], ids=["walk", "squat", "jump"])
+def test_feet_carry_the_force_on_the_body(act: Act) -> None:
+    forces = estimated(act)
+    stands = forces.feet.stands.any(1)
+    np.testing.assert_allclose(forces.feet.force[stands].sum(1), forces.total[stands], atol=1e-6)
+    assert (forces.feet.force[~forces.feet.stands] == 0.0).all()
+    assert np.isnan(forces.feet.pressure_m[~forces.feet.stands]).all()
+    assert (forces.feet.force[..., 2] >= 0.0).all()
+
+
+def test_one_foot_carries_all_in_the_middle_of_a_swing() -> None:
+    forces = estimated(WALK)
+    marks = ("left_heel", "right_heel", "left_big_toe", "right_big_toe")
+    heights_m = truth_of(WALK).xyz_m[:, WALK.joints.indices(marks), 2].reshape(-1, 2, 2).min(1)
+    lifted = np.abs(heights_m[:, 0] - heights_m[:, 1]) > 0.04
+    assert lifted.sum() > 10
+    lower = heights_m[lifted].argmin(1)
+    upper_force = forces.feet.force[lifted, 1 - lower, 2]
+    assert (upper_force == 0.0).mean() > 0.95
+
+
+def test_centre_of_pressure_is_below_standing_feet() -> None:
+    forces, xyz_m = estimated(SQUAT), truth_of(SQUAT).xyz_m
+    for column, side in enumerate(("left", "right")):
+        heel_m, toe_m = (xyz_m[:, SQUAT.joints.index(f"{side}_{mark}"), :2] for mark in ("heel", "big_toe"))
+        apart_m = np.linalg.norm(forces.feet.pressure_m[:, column, :2] - (heel_m + toe_m) / 2.0, axis=1)
+        assert np.nanmax(apart_m) < 0.16
+
+
+def test_flight_has_no_force_and_residual_is_stated() -> None:
+    forces = estimated(JUMP)
+    assert forces.flies.sum() > 60
+    assert np.abs(forces.total[forces.flies] / GRAVITY_M_S2).max() < 0.04
+    assert abs(forces.flight_residual) < 0.15
+    assert np.isnan(estimated(SQUAT).flight_residual)
+
+
+def test_moment_of_standing_knee_is_force_times_lever() -> None:
+    forces, xyz_m = estimated(SQUAT), truth_of(SQUAT).xyz_m
+    # In the deepest squat, bodies are still: the moment is the weight's beyond the knee.
+    row = int(xyz_m[:, SQUAT.joints.index("left_hip"), 2].argmin())
+    column = MOMENT_NAMES.index("left_knee_flexion")
+    knee_m = xyz_m[row, SQUAT.joints.index("left_knee")]
+    ground, arm_m = forces.feet.force[row, 0], forces.feet.pressure_m[row, 0] - knee_m
+    moment = -np.cross(arm_m, ground)
+    # The shank and foot weigh 6 % of the body, within 0.25 m of the knee's vertical.
+    assert abs(np.linalg.norm(moment) - abs(forces.joints.moment[row, column])) < 0.25
+    assert forces.joints.moment[row, column] < -0.2  # muscles stretch the bent knee
+
+
+def test_swinging_leg_has_moments_of_its_own_weight_alone() -> None:
+    forces = estimated(WALK)
+    swings = ~forces.feet.stands[:, 0] & forces.feet.stands[:, 1]
+    ankle = forces.joints.moment[swings, MOMENT_NAMES.index("left_ankle_dorsiflexion")]
+    assert np.abs(ankle).max() < 0.1  # a foot of 1.4 % of the mass, 6 cm in front of the ankle
+
+
+def test_people_without_heels_and_toes_have_forces() -> None:
+    forces = estimated(body_only(SQUAT))
+    assert np.isfinite(forces.joints.moment).all()
+    assert np.median(forces.total[:, 2]) == pytest.approx(GRAVITY_M_S2, rel=0.02)
+
+
+def test_short_track_has_no_forces() -> None:
+    animation = solved(SQUAT)
+    motion, track = animation.motions[0], animation.tracks[0].part(slice(0, 8))
+    short = replace(motion, root_m=motion.root_m[:8], parent_from_joint=motion.parent_from_joint[:8], contacts=())
+    assert forces_of(short, track, SQUAT.joints, Subject(), animation.floor) is None
+
+
+def test_gap_of_all_joints_is_unknown() -> None:
+    animation = solved(SQUAT)
+    xyz_m = np.array(animation.tracks[0].xyz_m)
+    xyz_m[100:105] = np.nan
+    track = replace(animation.tracks[0], xyz_m=xyz_m)
+    forces = forces_of(animation.motions[0], track, SQUAT.joints, Subject(), animation.floor)
+    assert forces is not None
+    assert np.isnan(forces.total[100:105]).all()
+    assert np.isfinite(np.delete(forces.total, np.s_[100:105], axis=0)).all()
+    assert not forces.feet.stands[100:105].any()
+
+
+def test_people_who_are_near_may_touch() -> None:
+    track = solved(SQUAT).tracks[0]
+    beside = replace(track, start_frame=10, xyz_m=track.xyz_m + np.array([0.3, 0.0, 0.0]))
+    assert not touching(track, [replace(track, xyz_m=track.xyz_m + 5.0)]).any()
+    found = touching(track, [beside])
+    assert not found[:10].any()
+    assert found[10:].any()
+
+
+def test_plates_replace_the_estimate_at_their_feet() -> None:
+    corners_m = plates_m(SQUAT, ((0.2, 0.0),), half_m=0.5)
+    lead_s, length_s = 1.0, 4.0
+    start = LaboratoryStart("trigger", lead_s, 0.001)
+    laboratory = replace(simulated(SQUAT, lead_s, length_s, corners_m), start=start)
+    timebase = Timebase(0.0, SQUAT.rate_hz, len(truth_of(SQUAT).xyz_m))
+    forces = estimated(SQUAT, mass_kg=MASS_KG, laboratory=laboratory, timebase=timebase)
+    rows = np.flatnonzero(forces.feet.measured.any(1))
+    assert rows[0] == pytest.approx(lead_s * SQUAT.rate_hz, abs=2)
+    assert rows[-1] == pytest.approx((lead_s + length_s) * SQUAT.rate_hz, abs=2)
+    middle = rows[len(rows) // 2]
+    on = forces.feet.measured[middle]
+    # One plate under both feet: its force is one foot's, with its noise of 3 steps of 0.1 N.
+    assert forces.feet.force[middle, on, 2].sum() == pytest.approx(MASS_KG * GRAVITY_M_S2, rel=0.15)
+    assert (forces.feet.sigma[middle, on] == 0.0).all()
+
+
+def test_document_has_stances_and_jumps() -> None:
+    of_walk, of_jump = forces_document(estimated(WALK), 3), forces_document(estimated(JUMP), 4)
+    assert of_walk["id"] == 3
+    assert {stance["side"] for stance in of_walk["stances"]} == {"left", "right"}
+    assert all(0.2 < stance["impulse_bw_s"] < 1.0 for stance in of_walk["stances"])
+    assert all(stance["peak_bw"] > 0.9 for stance in of_walk["stances"])
+    assert of_walk["jumps"] == []
+    heights_m = truth_of(JUMP).heights_m
+    assert len(of_jump["jumps"]) == len(heights_m)
+    for jump, height_m in zip(of_jump["jumps"], heights_m, strict=True):
+        assert jump["by_impulse_m"] == pytest.approx(height_m, abs=0.04)
+
+
+@pytest.mark.accuracy
+def test_deviations_cover_errors_of_people_seen_by_cameras() -> None:
+    """Walks, jumps and squats of three people each, seen by four cameras; ``-s`` prints errors in % of body weight."""
+    covers: list[np.ndarray] = []
+    sizes: dict[str, list[np.ndarray]] = {}
+    for seed in (2, 3, 4):
+        gestures = Gesture.SQUAT, Gesture.COUNTERMOVEMENT_JUMP
+        acts = {"walk": replace(walk(1.0 + 0.1 * seed, num_cameras=4), seed=seed)}
+        acts |= {gesture.value: exercise(gesture, seed, num_cameras=4) for gesture in gestures}
+        for name, act in acts.items():
+            forces = estimated(act)
+            error = errors_bw(act, forces)
+            covers.append(np.abs(error) < 1.96 * forces.total_sigma / GRAVITY_M_S2)
+            sizes.setdefault(name, []).append(100 * np.sqrt((error**2).mean(0)))
+    for name, size in sizes.items():
+        print(name, *np.mean(size, axis=0).round(2))  # noqa: T201
+    cover = np.concatenate(covers).mean(0)
+    print("within two deviations", *cover.round(3))  # noqa: T201
+    assert (cover > 0.9).all()
+    assert np.mean(sizes["walk"], axis=0)[2] < 6.0
