@@ -302,6 +302,29 @@ def balance_rows(people: Sequence[NamedFigures]) -> list[tuple[str, ...]]:
     ]
 
 
+FORCE_COLUMNS = ("Person", "Side", "Stances", "Vertical impulse", "Peak", "Loading rate", "Jumps by impulse")
+_OF_STANCES = {"impulse_bw_s": "BW s", "peak_bw": "BW", "loading_rate_bw_s": "BW/s"}
+
+
+def force_rows(people: Sequence[NamedFigures], forces: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Rows of ``FORCE_COLUMNS``: means of each side's stances in body weights, and a row of the person's asymmetry."""
+    names = {figures["id"]: name for name, figures in people}
+    rows = []
+    for found in forces:
+        jumps = ", ".join(f"{jump['by_impulse_m']:.2f} m" for jump in found["jumps"])
+        for side in SIDES:
+            stances = [stance for stance in found["stances"] if stance["side"] == side]
+            means = [
+                f"{np.mean([stance[figure] for stance in stances]):.2f} {unit}" if stances else "-"
+                for figure, unit in _OF_STANCES.items()
+            ]
+            rows.append((names[found["id"]], side, str(len(stances)), *means, jumps or "-"))
+        apart = [found["asymmetry_percent"][figure] for figure in _OF_STANCES]
+        cells = ["-" if value is None else f"{value:+.0f} %" for value in apart]
+        rows.append((names[found["id"]], "right less left", "", *cells, ""))
+    return rows
+
+
 def _spread(spread: Mapping[str, Any] | None, unit: str, digits: int) -> str:
     """Mean, and the standard deviation if there is one."""
     if spread is None:

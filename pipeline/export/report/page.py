@@ -168,6 +168,7 @@ def _gait(contents: ReportContents) -> Markup:
             ("Gait", biomechanics.GAIT_COLUMNS, biomechanics.gait_rows(named)),
             ("Movements", biomechanics.MOVEMENT_COLUMNS, biomechanics.movement_rows(named)),
             ("Centre of mass", biomechanics.BALANCE_COLUMNS, biomechanics.balance_rows(named)),
+            ("Forces", biomechanics.FORCE_COLUMNS, biomechanics.force_rows(named, contents.metrics.get("forces", ()))),
         )
         if rows
     ]

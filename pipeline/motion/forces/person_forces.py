@@ -127,11 +127,14 @@ def touching(track: Track3D, others: Sequence[Track3D]) -> Bool[np.ndarray, " fr
     """Frames in which a joint of a person is so near to another person's that both may touch."""
     touches = np.zeros(track.num_frames, bool)
     for other in others:
-        shared = range(max(track.start_frame, other.start_frame), min(track.frames.stop, other.frames.stop))
-        for frame in shared:
-            own_m, other_m = (of.xyz_m[frame - of.start_frame] for of in (track, other))
-            apart_m = np.linalg.norm(own_m[:, None] - other_m[None], axis=-1)
-            touches[frame - track.start_frame] |= bool((apart_m < _TOUCHING_M).any())
+        first, stop = max(track.start_frame, other.start_frame), min(track.frames.stop, other.frames.stop)
+        own_m, other_m = (of.xyz_m[first - of.start_frame : max(stop, first) - of.start_frame] for of in (track, other))
+        # Boxes around the bodies tell quickly that most people are apart.
+        lows, highs = ([end(of, axis=1) for of in (own_m, other_m)] for end in (np.fmin.reduce, np.fmax.reduce))
+        gap_m = np.maximum(lows[0] - highs[1], lows[1] - highs[0])
+        for row in np.flatnonzero((gap_m < _TOUCHING_M).all(1)):
+            apart_m = np.linalg.norm(own_m[row, :, None] - other_m[row, None], axis=-1)
+            touches[first - track.start_frame + row] |= bool((apart_m < _TOUCHING_M).any())
     return touches
 
 

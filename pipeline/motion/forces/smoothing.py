@@ -40,9 +40,12 @@ class PathSmoother:
 
     def path(self, values: Float[np.ndarray, "frames *columns"]) -> Float[np.ndarray, "frames *columns"]:
         """Most likely path of positions."""
-        flat = np.where(self.known[:, None], values.reshape(len(values), -1), 0.0)
+        flat = values.reshape(len(values), -1)
+        # Far from the world's origin, small movements need all digits.
+        middle = flat[self.known].mean(0)
+        flat = np.where(self.known[:, None], flat - middle, 0.0)
         factor = cholesky_banded(_bands(self.known, self.penalty))
-        return np.asarray(cho_solve_banded((factor, False), flat).reshape(values.shape))
+        return np.asarray(cho_solve_banded((factor, False), flat) + middle).reshape(values.shape)
 
     def path_with_falls(
         self, values: Float[np.ndarray, "frames 3"], sigma_m: float, falls: Bool[np.ndarray, " frames"]
@@ -52,12 +55,13 @@ class PathSmoother:
         inner = np.flatnonzero(falls[1:-1]) + 1
         weight = (sigma_m * rate2 / (_FALL_SHARE * GRAVITY_M_S2)) ** 2
         bands = _bands(self.known, self.penalty)
-        right = np.where(self.known[:, None], values, 0.0)
+        middle = values[self.known].mean(0)
+        right = np.where(self.known[:, None], values - middle, 0.0)
         for first, own in enumerate(_SECOND):
             right[inner - 1 + first] += weight * own * np.array([0.0, 0.0, -GRAVITY_M_S2]) / rate2
             for second in range(first, 3):
                 bands[_ORDER - (second - first), inner - 1 + second] += weight * own * _SECOND[second]
-        return np.asarray(cho_solve_banded((cholesky_banded(bands), False), right))
+        return np.asarray(cho_solve_banded((cholesky_banded(bands), False), right) + middle)
 
     def acceleration(self, path: Float[np.ndarray, "frames *columns"]) -> Float[np.ndarray, "frames *columns"]:
         """Second derivatives of a path; the first and the last frame have their neighbour's."""

@@ -9,10 +9,12 @@ from defusedxml import ElementTree
 
 from pipeline.core.data.cameras import Timebase
 from pipeline.export.report.biomechanics import (
+    FORCE_COLUMNS,
     GAIT_COLUMNS,
     MOVEMENT_COLUMNS,
     PersonAngles,
     angle_parts,
+    force_rows,
     gait_rows,
     movement_rows,
 )
@@ -132,3 +134,18 @@ def test_movements_have_their_height_or_depth() -> None:
     assert {row[1] for row in rows if row[0] == "person 1"} == {"Sits down", "Stands up"}
     assert all("by flight time, " in row[4] and "by the hips" in row[4] for row in rows if row[1] == "Jump")
     assert not [row for row in rows if row[0] == "person 2"]
+
+
+def test_forces_are_means_of_stances_and_asymmetry() -> None:
+    stance = {"side": "left", "impulse_bw_s": 0.5, "peak_bw": 1.1, "loading_rate_bw_s": 8.0}
+    found = {
+        "id": 7,
+        "stances": [stance, stance | {"peak_bw": 1.3}],
+        "asymmetry_percent": {"impulse_bw_s": 3.2, "peak_bw": None, "loading_rate_bw_s": -10.0},
+        "jumps": [{"by_impulse_m": 0.31}, {"by_impulse_m": 0.3}],
+    }
+    left, right, apart = force_rows([("Ada", {"id": 7})], [found])
+    assert left == ("Ada", "left", "2", "0.50 BW s", "1.20 BW", "8.00 BW/s", "0.31 m, 0.30 m")
+    assert right == ("Ada", "right", "0", "-", "-", "-", "0.31 m, 0.30 m")
+    assert apart == ("Ada", "right less left", "", "+3 %", "-", "-10 %", "")
+    assert len(left) == len(FORCE_COLUMNS)

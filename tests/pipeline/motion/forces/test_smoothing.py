@@ -72,3 +72,15 @@ def test_body_falls_freely_in_flights() -> None:
     inside = falls & np.roll(falls, 1) & np.roll(falls, -1)
     assert np.abs(found[inside] - [0.0, 0.0, -GRAVITY_M_S2]).max() < 0.5
     assert np.abs(free[inside, 2] + GRAVITY_M_S2).max() > 3.0
+
+
+def test_place_of_the_origin_does_not_matter() -> None:
+    falls = (TIME_S > 1.5) & (TIME_S < 2.0)
+    smoother = PathSmoother(EVERY, penalty_of(2.0, RATE_HZ), RATE_HZ)
+    values_m = np.stack([TIME_S, np.cos(TIME_S), np.sin(TIME_S)], axis=1)
+    near, far = (smoother.acceleration(smoother.path(values_m + away_m)) for away_m in (0.0, 5e6))
+    np.testing.assert_allclose(far, near, atol=2e-4)
+    near, far = (
+        smoother.acceleration(smoother.path_with_falls(values_m + away_m, 0.001, falls)) for away_m in (0.0, 5e6)
+    )
+    np.testing.assert_allclose(far, near, atol=2e-4)
