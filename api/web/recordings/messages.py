@@ -1,6 +1,6 @@
 """Messages of a recording's WebSocket in JSON, of phones, hosts and the service, and their AsyncAPI document."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 from uuid import UUID
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, TypeAdapter
@@ -335,12 +335,8 @@ class RecordingProblemOut(SocketProblemOut):
 
 PhoneMessage = PhoneHello | ClientPing | PhoneStatus | PhoneRename | PhoneStarted | PhoneStopped | PhoneFile
 HostMessage = ClientPing | HostStart | HostStop | HostRename | HostRemove | HostUpload | HostDiscard
-PHONE_RECEIVED: tuple[type[BaseModel], ...] = (
-    *(PhoneHello, ClientPing, PhoneStatus, PhoneRename, PhoneStarted, PhoneStopped, PhoneFile),
-)
-HOST_RECEIVED: tuple[type[BaseModel], ...] = (
-    *(ClientPing, HostStart, HostStop, HostRename, HostRemove, HostUpload, HostDiscard),
-)
+PHONE_RECEIVED: tuple[type[BaseModel], ...] = get_args(PhoneMessage)
+HOST_RECEIVED: tuple[type[BaseModel], ...] = get_args(HostMessage)
 PHONE_SENT: tuple[type[BaseModel], ...] = (
     *(PhoneWelcome, Pong, StartOut, StopOut, RenameOut, UploadOut, DeleteOut, LiveOut, EndedOut),
     RecordingProblemOut,
