@@ -4,9 +4,10 @@ A firewall that forgets a connection drops its packets silently. Without ``SOCKE
 for a quarter of an hour, and an idle connection looks whole for ever.
 """
 
+import contextlib
 import errno
 import socket
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
 
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
@@ -59,12 +60,21 @@ def find_outage(error: BaseException) -> Outage | None:
     return None
 
 
-def is_perhaps_recorded(error: BaseException) -> bool:
-    """Return whether a transaction with an error may have been committed: the database's answer was lost.
+@contextlib.contextmanager
+def undone_if_lost() -> Iterator[contextlib.ExitStack]:
+    """Call what is put on the stack if the block fails, unless its transaction may have been committed.
 
-    Files that the transaction names are kept then; files without a row are removed later.
+    It may have been if the database's answer was lost. Files that it names are kept then; files without a row are
+    removed later.
     """
-    return find_outage(error) is Outage.DATABASE
+    with contextlib.ExitStack() as undo:
+        try:
+            yield undo
+        except BaseException as error:
+            if find_outage(error) is Outage.DATABASE:
+                undo.pop_all()
+            raise
+        undo.pop_all()
 
 
 def _is_database_away(error: DBAPIError) -> bool:

@@ -19,7 +19,7 @@ from pipeline.core.problems.session_codes import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.file_keys import character_key, character_prefix
 from worker.store.model.character_records import Character, StoredCharacterFile
-from worker.store.outages import is_perhaps_recorded
+from worker.store.outages import undone_if_lost
 from worker.store.tenant_records import TenantRecords
 
 MEDIA_TYPES = ("model/gltf-binary", "application/octet-stream")
@@ -68,16 +68,10 @@ def stored_character(services: Services, checked: CheckedCharacter) -> Iterator[
     """
     character_id = services.store.characters.reserve_id()
     sent, key = checked.file, character_key(character_id)
-    with contextlib.ExitStack() as undo:
+    with undone_if_lost() as undo:
         undo.callback(services.artifacts.delete_prefix, character_prefix(character_id))
         services.artifacts.put_file(key, sent.path)
-        try:
-            yield character_id, StoredCharacterFile(sent.name, key, sent.num_bytes, sent.sha256)
-        except Exception as error:
-            if is_perhaps_recorded(error):
-                undo.pop_all()
-            raise
-        undo.pop_all()
+        yield character_id, StoredCharacterFile(sent.name, key, sent.num_bytes, sent.sha256)
     for upload_id in checked.upload_ids:
         services.uploads.remove(upload_id)
 

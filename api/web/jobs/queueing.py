@@ -36,7 +36,7 @@ from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobRecord, job_config
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.work import StagePlan
-from worker.store.outages import is_perhaps_recorded
+from worker.store.outages import undone_if_lost
 from worker.store.repositories.work.workers import shared_by_ready
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
@@ -214,7 +214,7 @@ def copied_character(
         place = prefix = records.jobs.reserve_copy(job_id)
         key = f"{prefix}file"
     file = replace(character.file, key=key)
-    with contextlib.ExitStack() as undo:
+    with undone_if_lost() as undo:
         undo.callback(services.artifacts.delete_prefix, prefix)
         services.settings.spool_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=services.settings.spool_dir) as folder:
@@ -222,13 +222,7 @@ def copied_character(
             with opened(services, character_download(character)) as source, path.open("xb") as copy:
                 shutil.copyfileobj(source, copy)
             services.artifacts.put_file(file.key, path)
-        try:
-            yield place, JobCharacter(character.id, file, character.corrections)
-        except Exception as error:
-            if is_perhaps_recorded(error):
-                undo.pop_all()
-            raise
-        undo.pop_all()
+        yield place, JobCharacter(character.id, file, character.corrections)
 
 
 def accepted(job: JobRecord) -> Answer:

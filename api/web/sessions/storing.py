@@ -21,7 +21,7 @@ from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.store.files.file_keys import input_key, record_key, session_prefix, thumbnail_key
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import InputFile, Purpose, Session
-from worker.store.outages import is_perhaps_recorded
+from worker.store.outages import undone_if_lost
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
@@ -157,20 +157,14 @@ def stored(services: Services, checked: CheckedSession, new: NewSession | None =
     was lost, if it was not committed.
     """
     new = new or new_session(services, checked)
-    with contextlib.ExitStack() as undo:
+    with undone_if_lost() as undo:
         for upload_id, *_ in new.fetches:
             undo.callback(services.uploads.remove, upload_id)
             services.uploads.create(0, upload_id)
         if new.arrival is None:
             undo.callback(services.artifacts.delete_prefix, session_prefix(new.id))
             put_files(services, checked, new)
-        try:
-            yield new
-        except Exception as error:
-            if is_perhaps_recorded(error):
-                undo.pop_all()
-            raise
-        undo.pop_all()
+        yield new
     for upload_id in checked.upload_ids if new.arrival is None else ():
         services.uploads.remove(upload_id)
 

@@ -10,7 +10,7 @@ from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
 from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.model.session_records import Upload
-from worker.store.outages import is_perhaps_recorded
+from worker.store.outages import undone_if_lost
 from worker.store.tenant_records import TenantRecords
 
 FETCH_RETRY_S = 2
@@ -32,13 +32,10 @@ def begun_upload(
     """
     uploads, keep_s = services.uploads, services.settings.upload_keep_s
     upload_id = uploads.create(num_bytes)
-    try:
+    with undone_if_lost() as undo:
+        undo.callback(uploads.remove, upload_id)
         with records.transaction() as work:
             yield work, work.uploads.add(upload_id, name, num_bytes, metadata, keep_s, uploads.name, source_url)
-    except BaseException as error:
-        if not is_perhaps_recorded(error):
-            uploads.remove(upload_id)
-        raise
 
 
 def unfinished(upload: Upload, num_bytes: int) -> str:
