@@ -56,21 +56,10 @@ MIRRORED_SHARE, MIRRORED_FRAMES = 0.75, 20
 # Cosine below which left and right are not known. Nine in ten people of good sessions have more.
 _MIN_LEFTNESS = 0.3
 
-_EVIDENCE: Mapping[str, str] = {
-    "upside_down": "lean_deg",
-    "not_upright": "lean_deg",
-    "floor_not_at_zero": "height_m",
-    "floor_tilted": "tilt_deg",
-    "stature_out_of_range": "stature_m",
-    "camera_below_floor": "height_m",
-    "mirrored_world": "share",
-    "camera_disagrees": "shift_px",
-}
 # Failed checks with which the result is empty or wrong; with others it may be.
 _ERRORS = frozenset({"nobody_found", "upside_down", "mirrored_world"})
 
-_Found = tuple[Code, str, str | None, float, str]
-"""Code, message, camera, evidence and hint."""
+_Failed = dict[str, Any]
 
 
 def failed_check(
@@ -79,7 +68,7 @@ def failed_check(
     evidence: Mapping[str, Any] | None = None,
     camera: str | None = None,
     hint: str | None = None,
-) -> dict[str, Any]:
+) -> _Failed:
     """Finding of a failed check of a take, as ``metrics.json`` lists it."""
     severity: Severity = "info" if code == finding_codes.CALIBRATION_KEPT else "error" if code in _ERRORS else "warning"
     return Finding(code, message, camera, severity, hint, evidence or {}).to_json()
@@ -132,14 +121,7 @@ def world_checks(
         _check_handedness(tracks, joints),
         _check_shifts(cameras, shifted),
     )
-    people = {"people": [{"person": number, "stature_m": round(stature_m, 3)} for number, stature_m in odd_m.items()]}
-    more: Mapping[str, Mapping[str, Any]] = {finding_codes.STATURE_OUT_OF_RANGE: people}
-    return [
-        failed_check(code, message, {_EVIDENCE[code]: round(value, 3), **more.get(code, {})}, camera, hint)
-        for some in checks
-        for code, message, camera, value, hint in some
-        if not accepts(code, camera=camera)
-    ]
+    return [finding for some in checks for finding in some if not accepts(finding["code"], camera=finding["camera"])]
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,46 +163,43 @@ def lean_fault(lean_deg: float, cameras: Sequence[Camera], when: str = "") -> Le
     )
 
 
-def _check_upright(cameras: Sequence[Camera], tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
+def _check_upright(cameras: Sequence[Camera], tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Failed]:
     upwards = np.concatenate([np.zeros((0, 3)), *(feet_to_head_m(track, joints) for track in tracks)])
     upwards = upwards[np.isfinite(upwards).all(-1)]
     if len(upwards) == 0:
         return
     lean_deg = float(np.median(np.degrees(np.arctan2(np.hypot(upwards[:, 0], upwards[:, 1]), upwards[:, 2]))))
     if (fault := lean_fault(lean_deg, cameras, " in most frames")) is not None:
-        yield fault.code, fault.message, None, lean_deg, fault.hint
+        yield failed_check(fault.code, fault.message, {"lean_deg": round(lean_deg, 3)}, hint=fault.hint)
 
 
-def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Found]:
+def _check_floor(floor: Floor | None, floor_m: float) -> Iterator[_Failed]:
     if abs(floor_m) > MAX_HEIGHT_M:
         message = f"Feet stand at a height of {floor_m:.2f} m, not on the floor at 0."
         hint = f"Move the calibration's origin by {floor_m:.2f} m along Z, or level it (`refine_calibration`)."
-        yield finding_codes.FLOOR_NOT_AT_ZERO, message, None, floor_m, hint
+        yield failed_check(finding_codes.FLOOR_NOT_AT_ZERO, message, {"height_m": round(floor_m, 3)}, hint=hint)
     if floor is not None and floor.tilt_deg > MAX_TILT_DEG:
         message = f"The floor that feet stand on is tilted by {floor.tilt_deg:.1f} degrees."
-        yield finding_codes.FLOOR_TILTED, message, None, floor.tilt_deg, _LEVEL
+        yield failed_check(finding_codes.FLOOR_TILTED, message, {"tilt_deg": round(floor.tilt_deg, 3)}, hint=_LEVEL)
 
 
-def _check_statures(odd_m: Mapping[int, float]) -> Iterator[_Found]:
+def _check_statures(odd_m: Mapping[int, float]) -> Iterator[_Failed]:
     if not odd_m:
         return
     lowest_m, highest_m = STATURE_RANGE_M
     middle_m = float(np.median(list(odd_m.values())))
-    hint = hint_of_unit(middle_m)
     if len(odd_m) == 1:
         ((number, stature_m),) = odd_m.items()
         message = f"person-{number} is {stature_m:.2f} m tall: the unit of the calibration may not be the metre."
-        yield finding_codes.STATURE_OUT_OF_RANGE, message, None, middle_m, hint
-        return
-    people = first_names([f"person-{number} ({stature_m:.2f} m)" for number, stature_m in odd_m.items()])
-    yield (
-        finding_codes.STATURE_OUT_OF_RANGE,
-        f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
-        "may not be the metre.",
-        None,
-        middle_m,
-        hint,
-    )
+    else:
+        people = first_names([f"person-{number} ({stature_m:.2f} m)" for number, stature_m in odd_m.items()])
+        message = (
+            f"{len(odd_m)} people are not {lowest_m:g} to {highest_m:g} m tall: {people}. The unit of the calibration "
+            "may not be the metre."
+        )
+    of_people = [{"person": number, "stature_m": round(stature_m, 3)} for number, stature_m in odd_m.items()]
+    evidence = {"stature_m": round(middle_m, 3), "people": of_people}
+    yield failed_check(finding_codes.STATURE_OUT_OF_RANGE, message, evidence, hint=hint_of_unit(middle_m))
 
 
 def hint_of_unit(stature_m: float) -> str:
@@ -232,29 +211,29 @@ def hint_of_unit(stature_m: float) -> str:
     return "Check the calibration's unit."
 
 
-def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Found]:
+def _check_cameras(cameras: Sequence[Camera], floor_m: float) -> Iterator[_Failed]:
     lowest_m = (floor_m if np.isfinite(floor_m) else 0.0) - MAX_HEIGHT_M
     heights_m = {camera.name: float(center_in_world(camera)[2]) for camera in cameras}
     below = [name for name, height_m in heights_m.items() if height_m < lowest_m]
     if below:
         lowest = min(below, key=lambda name: heights_m[name])
         message = f"Cameras are below the floor: {first_names(below)}."
-        yield finding_codes.CAMERA_BELOW_FLOOR, message, lowest, heights_m[lowest], "Check the calibration's axes."
+        evidence, hint = {"height_m": round(heights_m[lowest], 3)}, "Check the calibration's axes."
+        yield failed_check(finding_codes.CAMERA_BELOW_FLOOR, message, evidence, lowest, hint)
 
 
-def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Found]:
+def _check_handedness(tracks: Sequence[Track3D], joints: JointSet) -> Iterator[_Failed]:
     """Compare people's left with the left that follows from the front and the top of their heads and trunks."""
     sides = [np.zeros(0), *(leftness(track, joints) for track in tracks)]
     sign = np.concatenate(sides)
     sign = sign[np.isfinite(sign)]
     share = float(np.mean(sign < 0.0)) if len(sign) else 0.0
     if len(sign) >= MIRRORED_FRAMES and share >= MIRRORED_SHARE:
-        yield (
+        yield failed_check(
             finding_codes.MIRRORED_WORLD,
             f"People's left and right are exchanged in {100 * share:.0f} % of the frames: the world is mirrored.",
-            None,
-            share,
-            "Check whether an axis of the calibration has the wrong sign, or the videos are mirrored.",
+            {"share": round(share, 3)},
+            hint="Check whether an axis of the calibration has the wrong sign, or the videos are mirrored.",
         )
 
 
@@ -274,13 +253,13 @@ def leftness(track: Track3D, joints: JointSet) -> Float[np.ndarray, " frames"]:
     return np.where(np.abs(cosine) >= _MIN_LEFTNESS, cosine, np.nan)
 
 
-def _check_shifts(cameras: Sequence[Camera], shifted: Sequence[CameraShift]) -> Iterator[_Found]:
+def _check_shifts(cameras: Sequence[Camera], shifted: Sequence[CameraShift]) -> Iterator[_Failed]:
     for shift in shifted:
         name = cameras[shift.camera].name
-        yield (
+        yield failed_check(
             finding_codes.CAMERA_DISAGREES,
             f"{name}: {shift.message}",
+            {"shift_px": round(shift.shift_px, 3)},
             name,
-            shift.shift_px,
             "Refine the calibration (`refine_calibration`), calibrate the camera again, or check its offset.",
         )
