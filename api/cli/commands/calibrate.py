@@ -10,19 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich import progress as rich_progress
 
-from api.cli.console import (
-    JsonOption,
-    StageBars,
-    console,
-    emit,
-    print_table,
-    reporting,
-    require_writable,
-    show_session,
-    shows_help,
-    warn,
-    writing,
-)
+from api.cli import console as terminal
 from api.cli.options import SizeOption, UpOption, checked, known_up, stated_sizes, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.core.errors import InputError, Problem
@@ -32,7 +20,7 @@ from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKN
 from pipeline.core.progress import Progress
 from pipeline.run.engine.stage import CALIBRATE
 
-if not shows_help():
+if not terminal.shows_help():
     from pipeline.calibration.board.calibrate_board import calibrate_board
     from pipeline.calibration.board.source import (
         find_photographs,
@@ -93,10 +81,10 @@ def from_board(
     ] = None,
     world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
     report: Annotated[Path | None, typer.Option(help="Folder for the report and the pictures of coverage.")] = None,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Calibrate cameras from videos or photographs of a chessboard or a ChArUco board."""
-    with reporting(as_json):
+    with terminal.reporting(as_json):
         found = parse_board(board)
         require_outputs(out, report)
         known_points = read_known_points(world_points) if world_points is not None else ()
@@ -107,11 +95,11 @@ def from_board(
         if timestamps is not None and (images is not None or source.offset or source.rate):
             message = "Timestamps are of videos, and hold their offsets and rates."
             raise InputError([Problem(SOURCES, message, hint="Give either --timestamps, or --offset and --rate.")])
-        with rich_progress.Progress(console=console, disable=as_json, transient=True) as progress:
+        with rich_progress.Progress(console=terminal.console, disable=as_json, transient=True) as progress:
             if source.videos is not None:
                 session = source.open_videos(intrinsics, keeps_poses=False)
                 if not as_json:
-                    show_session(session.findings, session.layout)
+                    terminal.show_session(session.findings, session.layout)
                 if timestamps is not None:
                     session = timed(session, timestamps)
                 views = list(in_videos(session, found, progress))
@@ -203,10 +191,10 @@ def from_people(
     world_points: Annotated[Path | None, typer.Option(help=POINTS_HELP)] = None,
     chosen: Mapping[str, Any],
     report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Calibrate cameras from people of known stature who walk about: no board."""
-    with reporting(as_json), StageBars(visible=not as_json) as bars:
+    with terminal.reporting(as_json), terminal.StageBars(visible=not as_json) as bars:
         require_outputs(out, report)
         known_points = read_known_points(world_points) if world_points is not None else ()
         config = checked(chosen, source.check)
@@ -227,7 +215,7 @@ def from_people(
             detections = detect_people(session, config, bars.update, has_poses=False)
             joints = detection_joints(config)
         if not as_json:
-            show_session(session.findings, session.layout)
+            terminal.show_session(session.findings, session.layout)
         made = calibrate_people(
             session.cameras,
             session.times,
@@ -262,10 +250,10 @@ def from_scene(
     ] = None,
     up: UpOption = "z",
     report: Annotated[Path | None, typer.Option(help="Folder for the report.")] = None,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Calibrate cameras from points with known coordinates, marked in one picture of each camera."""
-    with reporting(as_json):
+    with terminal.reporting(as_json):
         require_outputs(out, report)
         sizes_px, problems = stated_sizes(size or ())
         if source.videos is not None and size:
@@ -283,7 +271,7 @@ def from_scene(
     if not as_json:
         errors_px = {(camera.name, point.name): point.error_px for camera in made.by_camera for point in camera.points}
         names = [camera.name for camera in made.by_camera]
-        print_table(
+        terminal.print_table(
             ("point", *(f"{name}, px" for name in names)),
             (
                 (point.name, *(_shown(errors_px.get((name, point.name)), "", 1) for name in names))
@@ -298,7 +286,7 @@ def require_outputs(out: Path, report: Path | None) -> None:
     if out.suffix.lower() not in ENCODERS:
         message = f"--out must end with one of {', '.join(ENCODERS)}."
         raise InputError([Problem(CALIBRATION_FORMAT, message, file=out.name)])
-    require_writable(out, report and report / _REPORT)
+    terminal.require_writable(out, report and report / _REPORT)
 
 
 def write_made(made: "CalibrationResult", out: Path, report: Path | None) -> None:
@@ -311,7 +299,7 @@ def write_made(made: "CalibrationResult", out: Path, report: Path | None) -> Non
         files[report / _REPORT] = (json.dumps(report_document(made), indent=1) + "\n").encode()
         files |= {report / name: picture.encode() for name, picture in made.pictures.items()}
     for path, content in files.items():
-        with writing(path):
+        with terminal.writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
 
@@ -320,9 +308,9 @@ def show_made(made: "CalibrationResult", out: Path, as_json: bool) -> None:
     """Show the report of a calibration."""
     document = report_document(made)
     if as_json:
-        emit(document | {"file": str(out)})
+        terminal.emit(document | {"file": str(out)})
         return
-    print_table(
+    terminal.print_table(
         ("camera", "views", "reprojection error", "focal length", "sigma", "position sigma"),
         (
             (
@@ -336,12 +324,14 @@ def show_made(made: "CalibrationResult", out: Path, as_json: bool) -> None:
             for camera in document["cameras"]
         ),
     )
-    console.print(f"World: {made.world}")
+    terminal.console.print(f"World: {made.world}")
     for warning in made.warnings:
-        warn(str(warning))
+        terminal.warn(str(warning))
     if not made.has_extrinsics:
-        warn("The file has intrinsics only. Give it to `multicap calibrate board --intrinsics` to find the poses.")
-    console.print(f"{len(made.cameras)} cameras in {out}")
+        terminal.warn(
+            "The file has intrinsics only. Give it to `multicap calibrate board --intrinsics` to find the poses."
+        )
+    terminal.console.print(f"{len(made.cameras)} cameras in {out}")
 
 
 def _shown(value: float | None, unit: str, digits: int) -> str:

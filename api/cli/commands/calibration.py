@@ -9,21 +9,8 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli import console as terminal
 from api.cli import options
-from api.cli.console import (
-    EXIT_BAD_INPUT,
-    JsonOption,
-    StageBars,
-    console,
-    emit,
-    print_table,
-    reporting,
-    show_findings,
-    show_session,
-    shows_help,
-    warn,
-    writing,
-)
 from api.cli.sources import SourceOptions, with_source
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.findings import Finding, documents, from_problem, has_error
@@ -31,7 +18,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.problems.finding_codes import CALIBRATION_NOTE, PARAMETER_UNREADABLE
 from pipeline.core.problems.session_codes import CALIBRATION_FORMAT, CAMERA_UNKNOWN, INVALID_SIZE
 
-if not shows_help():
+if not terminal.shows_help():
     import numpy as np
 
     from pipeline.calibration.checks.camera_checks import check_cameras
@@ -52,15 +39,15 @@ app = typer.Typer(help="Calibration files: show, check, convert; plan of a rig."
 
 
 @app.command()
-def show(file: FileArgument, units: options.UnitsOption = None, as_json: JsonOption = False) -> None:
+def show(file: FileArgument, units: options.UnitsOption = None, as_json: terminal.JsonOption = False) -> None:
     """Show the format, the unit and the cameras of a calibration."""
-    with reporting(as_json):
+    with terminal.reporting(as_json):
         contents = read(file, units)
     if as_json:
-        emit(_document(contents, units))
+        terminal.emit(_document(contents, units))
         return
     _show_statement(contents, units)
-    print_table(
+    terminal.print_table(
         ("camera", "size", "focal length", "principal point", "distortion", "position"),
         ([*_cells(camera)] for camera in contents.cameras),
     )
@@ -81,10 +68,10 @@ def convert(
     units: options.UnitsOption = None,
     up: options.UpOption = "z",
     size: options.SizeOption = None,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Write a calibration for Multicap or another program, with Z up where the format has no axes of its own."""
-    with reporting(as_json):
+    with terminal.reporting(as_json):
         contents = read(file, units, up)
         contents, problems = _sized(file, contents, size or ())
         name, of_target = _target_format(target, to)
@@ -93,13 +80,13 @@ def convert(
             problems += refusals(name, contents.cameras, target.name)
         if problems or name is None:
             raise InputError(problems)
-        with writing(target.name):
+        with terminal.writing(target.name):
             target.write_bytes(PROGRAM_FORMATS[name].encode(contents.cameras))
     if as_json:
-        emit(_document(contents, units) | {"file": str(target)})
+        terminal.emit(_document(contents, units) | {"file": str(target)})
         return
     _show_statement(contents, units)
-    console.print(f"{len(contents.cameras)} cameras in {target}")
+    terminal.console.print(f"{len(contents.cameras)} cameras in {target}")
 
 
 def _target_format(target: Path, stated: str | None) -> tuple[str | None, list[Problem]]:
@@ -143,9 +130,9 @@ def _sized(file: Path, contents: "CameraFile", stated: Sequence[str]) -> "tuple[
 def _show_statement(contents: "CameraFile", units: str | None) -> None:
     stated = f"{units}, as stated by --units" if units else "m, as neither the format nor --units states"
     unit = f"{contents.unit}, by the format" if contents.unit else stated
-    console.print(f"{contents.format}; lengths in the file: {unit}; axes: {contents.axes}")
+    terminal.console.print(f"{contents.format}; lengths in the file: {unit}; axes: {contents.axes}")
     for note in contents.notes:
-        warn(note)
+        terminal.warn(note)
 
 
 def _cells(camera: "Camera") -> list[str]:
@@ -184,10 +171,10 @@ def check(
     file: FileArgument,
     source: SourceOptions,
     chosen: Mapping[str, Any],
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Check a calibration: lenses, places, unit, up axis and common views; with videos or keypoints also people."""
-    with reporting(as_json), StageBars(visible=not as_json) as bars:
+    with terminal.reporting(as_json), terminal.StageBars(visible=not as_json) as bars:
         config = replace(options.checked(chosen, partial(source.check, is_optional=True)), smoothing="none")
         cameras: Sequence[Camera] = ()
         try:
@@ -204,19 +191,19 @@ def check(
             if session is None:
                 findings += _notes(contents)
     if as_json:
-        emit({"cameras": camera_documents(cameras), "findings": documents(findings)})
+        terminal.emit({"cameras": camera_documents(cameras), "findings": documents(findings)})
     else:
-        show_findings(findings, f"{len(cameras)} cameras: nothing is wrong with the calibration.")
+        terminal.show_findings(findings, f"{len(cameras)} cameras: nothing is wrong with the calibration.")
     if has_error(findings):
-        raise typer.Exit(EXIT_BAD_INPUT)
+        raise typer.Exit(terminal.EXIT_BAD_INPUT)
 
 
 def _check(
-    cameras: "Sequence[Camera]", session: "Session | None", config: ReconstructionConfig, bars: StageBars
+    cameras: "Sequence[Camera]", session: "Session | None", config: ReconstructionConfig, bars: terminal.StageBars
 ) -> list[Finding]:
     if session is None:
         return check_cameras(cameras)
-    show_session(session.findings, session.layout)
+    terminal.show_session(session.findings, session.layout)
     # The session has the cameras of the file, at the size of the videos.
     fitted = {camera.name: camera for camera in session.cameras}
     alone = check_cameras([fitted.get(camera.name, camera) for camera in cameras])
@@ -238,10 +225,10 @@ def plan(
     ] = None,
     people: Annotated[int, typer.Option(help="Number of people in the room.")] = 1,
     out: Annotated[Path | None, typer.Option(help="SVG picture to write.")] = None,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Plan a rig: which part of a room it covers, how many cameras see a joint, and the expected error by place."""
-    with reporting(as_json):
+    with terminal.reporting(as_json):
         room_m, size_px = (tuple(map(float, re.findall(r"\d+(?:\.\d+)?", text))) for text in (room, size))
         stated = {
             "room": (room_m if len(room_m) == 2 else (), Quantity(1, 100, "m")),
@@ -267,16 +254,16 @@ def plan(
             rig = contents.cameras
         found = plan_room(rig, floor_m, people)
         if out is not None:
-            with writing(out.name):
+            with terminal.writing(out.name):
                 out.write_text(plan_svg(found, rig, floor_m), encoding="utf-8")
     document = plan_document(found)
     if as_json:
-        emit(document | {"cameras": camera_documents(rig)})
+        terminal.emit(document | {"cameras": camera_documents(rig)})
         return
-    print_table(
+    terminal.print_table(
         ("x, m", "y, m", "views", "error, mm"), (list(map(str, place.values())) for place in document["places"])
     )
-    console.print(f"{100 * found.covered:.0f} % of the floor: every joint is expected in two views or more.")
+    terminal.console.print(f"{100 * found.covered:.0f} % of the floor: every joint is expected in two views or more.")
 
 
 def read(file: Path, units: str | None, up: str = "z") -> "CameraFile":

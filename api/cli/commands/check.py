@@ -8,19 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from api.cli import console as terminal
 from api.cli.commands.sync import all_bodies, measured_clocks
-from api.cli.console import (
-    EXIT_BAD_INPUT,
-    JsonOption,
-    StageBars,
-    console,
-    emit,
-    reporting,
-    show_findings,
-    show_layout,
-    shows_help,
-    writing,
-)
 from api.cli.options import checked, with_choices
 from api.cli.sources import SourceOptions, with_source
 from pipeline.core.errors import InputError
@@ -29,7 +18,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.progress import OnProgress, Progress
 from pipeline.run.engine.stage import CHECK
 
-if not shows_help():
+if not terminal.shows_help():
     from api.cli.space import document, sentence, session_space
     from pipeline.capture.pictures.sample_pictures import look_at_pictures
     from pipeline.capture.session import CaptureSession, Session
@@ -51,16 +40,16 @@ def command(
         Path | None,
         typer.Option(help="Folder for small copies of the pictures that are looked at.", show_default=False),
     ] = None,
-    as_json: JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Check a capture before its reconstruction: files, calibration, pictures, and people at twelve instants.
 
     With --sync auto the clocks are measured first, from people in all frames, and the people are checked on them.
     """
-    with reporting(as_json):
+    with terminal.reporting(as_json):
         choices = checked(chosen, source.check)
         if thumbnails is not None:
-            with writing(thumbnails):
+            with terminal.writing(thumbnails):
                 thumbnails.mkdir(parents=True, exist_ok=True)
         config = replace(choices, smoothing="none", sync="declared")
         try:
@@ -71,14 +60,14 @@ def command(
             space = session_space(session, choices)
             layout = session.layout
             of_pictures = _look(session, thumbnails) if isinstance(session, CaptureSession) else []
-            with StageBars(visible=not as_json) as bars:
+            with terminal.StageBars(visible=not as_json) as bars:
                 people = (_on_measured_clocks if choices.sync == "auto" else _as_declared)(session, config, bars.update)
             findings = [
                 *session.findings,
                 *_once([*of_pictures, *session_findings(session.cameras, people)]),
             ]
     if as_json:
-        emit(
+        terminal.emit(
             {
                 "findings": documents(findings),
                 "layout": None if layout is None else asdict(layout),
@@ -86,12 +75,12 @@ def command(
             }
         )
     else:
-        show_findings(findings, "Nothing is wrong with the capture.")
-        show_layout(findings, layout)
+        terminal.show_findings(findings, "Nothing is wrong with the capture.")
+        terminal.show_layout(findings, layout)
         if space is not None:
-            console.print(sentence(space))
+            terminal.console.print(sentence(space))
     if has_error(findings):
-        raise typer.Exit(EXIT_BAD_INPUT)
+        raise typer.Exit(terminal.EXIT_BAD_INPUT)
 
 
 def _as_declared(session: "Session", config: ReconstructionConfig, on_progress: OnProgress) -> Sequence[Finding]:
@@ -116,10 +105,10 @@ def _on_measured_clocks(session: "Session", config: ReconstructionConfig, on_pro
 
 def _look(session: "CaptureSession", thumbnails: Path | None) -> Sequence[Finding]:
     """Check a few pictures of each camera, and write small copies of them."""
-    with console.status("Look at pictures"):
+    with terminal.console.status("Look at pictures"):
         looked = look_at_pictures(session)
     if thumbnails is not None:
-        with writing(thumbnails):
+        with terminal.writing(thumbnails):
             for camera, of_camera in zip(session.cameras, looked.thumbnails, strict=True):
                 for number, thumbnail in enumerate(of_camera):
                     (thumbnails / f"{camera.name}-{number}.jpg").write_bytes(thumbnail.content)

@@ -6,20 +6,10 @@ from typing import Annotated
 
 import typer
 
-from api.cli.console import (
-    DataOption,
-    JsonOption,
-    console,
-    document,
-    refusal,
-    show_list,
-    show_secret,
-    shown_time,
-    shows_help,
-)
+from api.cli import console as terminal
 from worker.store.model.rights import DEFAULT_TENANT, Key, Scope
 
-if not shows_help():
+if not terminal.shows_help():
     from api.cli.store import opened_store, settings_in, store_in
     from worker.store.errors import NotFound
     from worker.store.files.disk import DiskSpace
@@ -47,20 +37,20 @@ def create(
         float | None,
         typer.Option(min=1 / 1440, help="Days until the key expires; without it the key is valid until it is revoked."),
     ] = None,
-    data: DataOption = None,
-    as_json: JsonOption = False,
+    data: terminal.DataOption = None,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Create a key and print it; it can't be read again. After the first key every request needs one."""
     if not (0 < len(name) <= 200 and 0 < len(tenant) <= 64):
-        raise refusal("A key's name has 1 to 200 characters, a tenant's name 1 to 64. Choose other names.")
+        raise terminal.refusal("A key's name has 1 to 200 characters, a tenant's name 1 to 64. Choose other names.")
     with store_in(data) as store:
         key, secret = store.keys.add(tenant, name, set(scope), None if days is None else days * _DAY_S)
     sentence = f"Key {key.id} of {key.tenant}. Store it; it is not shown again:"
-    show_secret(secret, sentence, document(key, _FIELDS) | {"key": secret}, as_json)
+    terminal.show_secret(secret, sentence, terminal.document(key, _FIELDS) | {"key": secret}, as_json)
 
 
 @app.command("list")
-def list_(data: DataOption = None, as_json: JsonOption = False) -> None:
+def list_(data: terminal.DataOption = None, as_json: terminal.JsonOption = False) -> None:
     """List all keys, without their secrets."""
     with store_in(data) as store:
         keys = store.keys.all()
@@ -72,22 +62,22 @@ def list_(data: DataOption = None, as_json: JsonOption = False) -> None:
         "scopes": lambda key: " ".join(sorted(key.scopes)),
         "until": lambda key: _until(key, now),
     }
-    show_list("keys", keys, _FIELDS, cells, as_json)
+    terminal.show_list("keys", keys, _FIELDS, cells, as_json)
 
 
 def _until(key: Key, now: datetime) -> str:
     """End of a key's validity in words."""
     if key.revoked_at is not None:
-        return f"revoked {shown_time(key.revoked_at)}"
+        return f"revoked {terminal.shown_time(key.revoked_at)}"
     if key.expires_at is None:
         return "no end"
-    return f"{'expired ' if key.expires_at <= now else ''}{shown_time(key.expires_at)}"
+    return f"{'expired ' if key.expires_at <= now else ''}{terminal.shown_time(key.expires_at)}"
 
 
 @app.command()
 def revoke(
     key_id: Annotated[str, typer.Argument(metavar="ID", help="ID of the key, from `multicap keys list`.")],
-    data: DataOption = None,
+    data: terminal.DataOption = None,
 ) -> None:
     """Revoke a key at once and forever."""
     settings = settings_in(data)
@@ -96,5 +86,5 @@ def revoke(
             # A leaked key must be revocable even if the disk is full.
             key = DiskSpace(settings.data_dir).using_reserve(lambda: store.keys.revoke(key_id))
         except NotFound:
-            raise refusal("There is no such key. `multicap keys list` lists all keys.") from None
-    console.print(f"Key {key.id} ({key.name}) is revoked.")
+            raise terminal.refusal("There is no such key. `multicap keys list` lists all keys.") from None
+    terminal.console.print(f"Key {key.id} ({key.name}) is revoked.")

@@ -34,14 +34,7 @@ from api.web.settings import Settings
 from pipeline.core.errors import listed_names
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE, PARAMETER_RANGE
 from pipeline.core.problems.request_codes import LIVE_FIELDS, MISSING_FIELD
-from pipeline.run.live.cameras.sources import (
-    REPEATED_SOURCE,
-    SCHEMES,
-    CameraSource,
-    find_devices,
-    name_problems,
-    unsupported,
-)
+from pipeline.run.live.cameras import sources as camera_sources
 from pipeline.run.live.packets import CaptureAnswer
 from worker.run.webhooks.addresses import url_fault
 from worker.run.webhooks.sender import RefusedAddressError, resolve
@@ -70,7 +63,7 @@ def read_cameras(
     known: Collection[str] | None,
     is_private: bool,
     require_phone: Callable[[str], None],
-) -> list[CameraSource]:
+) -> list[camera_sources.CameraSource]:
     """Sources of the cameras of a start; raises ``SocketProblem`` with all that is wrong.
 
     Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
@@ -78,12 +71,12 @@ def read_cameras(
     cameras of this machine and of private networks are allowed. ``require_phone`` refuses what is no phone.
     """
     errors: list[ErrorItem] = []
-    sources: list[CameraSource] = []
-    devices = find_devices() if is_private else {}
+    sources: list[camera_sources.CameraSource] = []
+    devices = camera_sources.find_devices() if is_private else {}
     resolve_end_s = time.monotonic() + _RESOLVE_S
     for place, (name, text) in enumerate((camera.camera, camera.source.strip()) for camera in start.cameras):
         names = [camera.camera for camera in start.cameras[:place]]
-        for code, message, hint in name_problems(name, [name] if known is None else list(known), names):
+        for code, message, hint in camera_sources.name_problems(name, [name] if known is None else list(known), names):
             pointer = pointer_to("cameras", place, "camera")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         try:
@@ -95,7 +88,9 @@ def read_cameras(
         else:
             if source.address in {earlier.address for earlier in sources}:
                 pointer = pointer_to("cameras", place, "source")
-                errors.append(ErrorItem(code=CAMERA_SOURCE, message=REPEATED_SOURCE, pointer=pointer, camera=name))
+                errors.append(
+                    ErrorItem(code=CAMERA_SOURCE, message=camera_sources.REPEATED_SOURCE, pointer=pointer, camera=name)
+                )
             sources.append(source)
     if isinstance(start, LiveCamerasStart) and start.outputs and not is_private:
         errors.append(_NO_OUTPUTS)
@@ -109,25 +104,25 @@ def read_cameras(
 
 def _source(
     name: str, text: str, devices: dict[str, str], resolve_end_s: float | None, require_phone: Callable[[str], None]
-) -> CameraSource:
+) -> camera_sources.CameraSource:
     """Source of a text; ``resolve_end_s`` is the end of the time for names, ``None``: all addresses are allowed."""
     scheme, sign, _ = text.partition("://")
     if text in devices:
-        return CameraSource(name, "device", text)
+        return camera_sources.CameraSource(name, "device", text)
     if sign and scheme == "phone":
         require_phone(text)
-        return CameraSource(name, "phone", text)
+        return camera_sources.CameraSource(name, "phone", text)
     if not sign:
         listed = f"Its cameras are {', '.join(devices)}." if devices else "It has none."
         further = listed if resolve_end_s is None else _PRIVATE_HINT
         hint = f"Write an address such as rtsp://192.168.0.10/stream. {further}"
         raise WrongSourceError(CAMERA_SOURCE, "The service's machine has no such camera that may be opened.", hint)
-    if (kind := SCHEMES.get(scheme.lower())) is None:
-        raise WrongSourceError(*unsupported(scheme[:40]))
+    if (kind := camera_sources.SCHEMES.get(scheme.lower())) is None:
+        raise WrongSourceError(*camera_sources.unsupported(scheme[:40]))
     if fault := url_fault(text):
         raise WrongSourceError(CAMERA_SOURCE, fault, "Correct the address.")
     if resolve_end_s is None:
-        return CameraSource(name, kind, text)
+        return camera_sources.CameraSource(name, kind, text)
     url, left_s = urlsplit(text), max(0.0, resolve_end_s - time.monotonic())
     try:
         address = resolve(url.hostname or "", url.port or _PORTS[scheme.lower()], False, left_s)
@@ -135,7 +130,7 @@ def _source(
         raise WrongSourceError(CAMERA_SOURCE, "The address is not public.", _PRIVATE_HINT) from None
     except (OSError, UnicodeError):  # of the name servers, or the time
         raise WrongSourceError(CAMERA_SOURCE, "The name can't be resolved.", "Correct the address.") from None
-    return CameraSource(name, kind, _at(url, address).geturl(), url.netloc.rpartition("@")[2])
+    return camera_sources.CameraSource(name, kind, _at(url, address).geturl(), url.netloc.rpartition("@")[2])
 
 
 def _at(url: SplitResult, address: str) -> SplitResult:
@@ -199,7 +194,7 @@ async def _relayed(
     command: Sequence[str],
     content: dict[str, Any],
     folder: Path,
-) -> "tuple[list[CameraSource], _CameraRelay]":
+) -> "tuple[list[camera_sources.CameraSource], _CameraRelay]":
     """Check the cameras, and relay a program that opens them to its end; ``known``: sizes of calibrated cameras."""
     is_private = allows_private(connection.settings, connection.caller)
     require = partial(require_phone, connection.records)
@@ -301,8 +296,8 @@ def require_phone(records: TenantRecords, source: str) -> None:
 
 @contextlib.asynccontextmanager
 async def phones_taken(
-    connection: LiveConnection, sources: Sequence[CameraSource], sizes_px: Mapping[str, Size]
-) -> AsyncIterator[list[CameraSource]]:
+    connection: LiveConnection, sources: Sequence[camera_sources.CameraSource], sizes_px: Mapping[str, Size]
+) -> AsyncIterator[list[camera_sources.CameraSource]]:
     """Have pictures of phones taken during the block; the sources with the sockets that bring them.
 
     ``sizes_px``: sizes at which cameras were calibrated, by their names.

@@ -8,17 +8,9 @@ from jaxtyping import Float, Int
 from scipy.optimize import nnls
 
 from pipeline.calibration.adjustment import parameters
+from pipeline.calibration.adjustment import problem as problems
 from pipeline.calibration.adjustment.bundle import Adjustment, adjust
 from pipeline.calibration.adjustment.normal import ObservationRows, build, observation_rows
-from pipeline.calibration.adjustment.problem import (
-    AdjustmentProblem,
-    DistanceLinks,
-    FreePoints,
-    Loss,
-    PointLink,
-    PointObservations,
-    ShiftLinks,
-)
 from pipeline.calibration.people.bodies import MatchedBodies
 from pipeline.calibration.people.following import JOINTS
 from pipeline.core.data.arrays import read_only
@@ -39,7 +31,7 @@ _MIN_FREEDOM = 0.1
 
 
 def correlated_sigma(
-    problem: AdjustmentProblem, adjusted: Adjustment, levels: Sequence[Int[np.ndarray, " n"]]
+    problem: problems.AdjustmentProblem, adjusted: Adjustment, levels: Sequence[Int[np.ndarray, " n"]]
 ) -> parameters.Parameters:
     """Compute standard deviations of the cameras' parameters, each camera's in the world that the others hold.
 
@@ -79,7 +71,7 @@ def _variances(
     rows: ObservationRows,
     subjects: Sequence[Int[np.ndarray, " n"]],
     clusters: Sequence[Int[np.ndarray, " n"]],
-    problem: AdjustmentProblem,
+    problem: problems.AdjustmentProblem,
     adjusted: Adjustment,
 ) -> Float[np.ndarray, " levels"]:
     """Variances of the errors of each level in units of the noise, the last one of single observations.
@@ -109,7 +101,7 @@ def _variances(
 
 
 def _beside_others(
-    problem: AdjustmentProblem, adjusted: Adjustment, covariance: Float[np.ndarray, "parameters parameters"]
+    problem: problems.AdjustmentProblem, adjusted: Adjustment, covariance: Float[np.ndarray, "parameters parameters"]
 ) -> parameters.Parameters:
     """Standard deviations of each camera after the move of the world that changes the other cameras least.
 
@@ -180,7 +172,7 @@ class PeopleFit:
 class _Fit:
     """Adjustment of cameras to bodies, with the body and the joint of each observation."""
 
-    problem: AdjustmentProblem
+    problem: problems.AdjustmentProblem
     adjusted: Adjustment
     body: Int[np.ndarray, " observations"]
     joint: Int[np.ndarray, " observations"]
@@ -232,7 +224,7 @@ def _adjust(
     number = np.full(is_known.shape, -1)
     number[is_known] = np.arange(is_known.sum())
     body, camera, joint = np.nonzero(fits & is_known[:, None])
-    observations = PointObservations(
+    observations = problems.PointObservations(
         camera, number[body, joint], np.zeros((len(camera), 3)), bodies.points_px[body, camera, joint]
     )
     links, lengths_m = _links(bodies, number, xyz_m, instants_s) if instants_s is not None else ((), np.empty(0))
@@ -247,12 +239,12 @@ def _adjust(
         free[:, parameters.FOCAL] = True
         free[:, parameters.DISTORTION.start] = True
         sigma[:, parameters.FOCAL], sigma[:, parameters.DISTORTION.start] = _FOCAL_SIGMA, _K1_SIGMA
-    problem = AdjustmentProblem(
-        tuple(cameras), free, sigma, observations, Loss.CAUCHY, links, read_only(lengths_m),
+    problem = problems.AdjustmentProblem(
+        tuple(cameras), free, sigma, observations, problems.Loss.CAUCHY, links, read_only(lengths_m),
         read_only(np.full(len(lengths_m), np.inf)),
     )  # fmt: skip
     small_step = np.full_like(sigma, _SMALL_STEP)
-    points = FreePoints(read_only(xyz_m[is_known]))
+    points = problems.FreePoints(read_only(xyz_m[is_known]))
     adjusted = adjust(problem, points, max_steps=_MAX_STEPS, small_step=small_step)
     num_seen = (bodies.seen() & np.isfinite(xyz_m).all(-1)[:, None]).sum((0, 2))
     fitting = read_only(np.bincount(camera, minlength=len(cameras)) / np.maximum(num_seen, 1))
@@ -264,7 +256,7 @@ def _links(
     number: Int[np.ndarray, "n joints"],
     xyz_m: Float[np.ndarray, "n joints 3"],
     instants_s: Float[np.ndarray, " instants"],
-) -> tuple[tuple[PointLink, ...], Float[np.ndarray, " lengths"]]:
+) -> tuple[tuple[problems.PointLink, ...], Float[np.ndarray, " lengths"]]:
     """Bones of the groups that are seen most, and shifts between neighbouring instants."""
     groups, counts = np.unique(bodies.group, return_counts=True)
     order = np.argsort(-counts)[:_MAX_GROUPS]
@@ -283,9 +275,11 @@ def _links(
     before, after = number[:-1][follows], number[1:][follows]
     both = (before >= 0) & (after >= 0)
     step_s = float(instants_s[1] - instants_s[0])
-    shifts = ShiftLinks(np.column_stack([before[both], after[both]]), np.full(both.sum(), _SPEED_SIGMA_M_S * step_s))
+    shifts = problems.ShiftLinks(
+        np.column_stack([before[both], after[both]]), np.full(both.sum(), _SPEED_SIGMA_M_S * step_s)
+    )
     if not pairs:
         return (shifts,), np.empty(0)
     bones = np.concatenate(pairs)
-    distances = DistanceLinks(bones, np.concatenate(owners), np.full(len(bones), _BONE_SIGMA_M))
+    distances = problems.DistanceLinks(bones, np.concatenate(owners), np.full(len(bones), _BONE_SIGMA_M))
     return (distances, shifts), np.array(lengths_m)

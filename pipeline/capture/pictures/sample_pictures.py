@@ -15,15 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.capture.pictures.figures import (
-    DETAIL_MIN,
-    PictureFigures,
-    correlation,
-    detail,
-    largest_change,
-    measure_figures,
-    reduced,
-)
+from pipeline.capture.pictures import figures as picture_figures
 from pipeline.capture.session import CaptureSession
 from pipeline.core.errors import ChildError, InputError
 from pipeline.core.findings import Finding, Severity, from_problem
@@ -60,7 +52,7 @@ class CameraPictures:
 
     camera: str  # Name of the camera
     time_s: Float[np.ndarray, " pictures"]  # Times of the pictures on the session's clock, ascending
-    figures: tuple[PictureFigures, ...]  # Figures of each picture
+    figures: tuple[picture_figures.PictureFigures, ...]  # Figures of each picture
 
     @property
     def middle(self) -> int:
@@ -83,7 +75,7 @@ def check_pictures(cameras: Sequence[CameraPictures]) -> list[Finding]:
     return findings
 
 
-def is_dark(figures: PictureFigures) -> bool:
+def is_dark(figures: picture_figures.PictureFigures) -> bool:
     """True if a picture is too dark for people to be seen."""
     return figures.dark_share >= _DARK_SHARE
 
@@ -150,8 +142,8 @@ def _longest_still(camera: CameraPictures) -> tuple[int, int]:
     return best
 
 
-def _is_still(first: PictureFigures, second: PictureFigures) -> bool:
-    return largest_change(first.cells, second.cells) < STILL
+def _is_still(first: picture_figures.PictureFigures, second: picture_figures.PictureFigures) -> bool:
+    return picture_figures.largest_change(first.cells, second.cells) < STILL
 
 
 def _moves(camera: CameraPictures, start_s: float, stop_s: float) -> bool:
@@ -249,7 +241,7 @@ def look_at_pictures(session: CaptureSession, budget_s: float = math.inf) -> Pic
 def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: float) -> _Looked:
     time_s = session.times[camera].time_s
     frames: list[int] = []
-    figures: list[PictureFigures] = []
+    figures: list[picture_figures.PictureFigures] = []
     thumbnails: list[Thumbnail] = []
     problems: list[Finding] = []
     is_left_out = time.monotonic() >= deadline_s
@@ -258,7 +250,7 @@ def _look(session: CaptureSession, camera: str, video: VideoInfo, deadline_s: fl
             if is_left_out := time.monotonic() >= deadline_s:
                 break
             frames.append(number)
-            figures.append(measure_figures(image_rgb))
+            figures.append(picture_figures.measure_figures(image_rgb))
             thumbnails.append(Thumbnail(float(time_s[number]), _encode(image_rgb)))
     except InputError as error:
         # The decoder was stopped, or had no time to start.
@@ -289,7 +281,9 @@ def _compare(
     try:
         for number in chosen:
             frame = int(np.argmin(np.abs(other.time_s - one.time_s[of_first.frames[number]])))
-            figures += [measure_figures(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)]
+            figures += [
+                picture_figures.measure_figures(image_rgb) for _, image_rgb in _decoded(other, [frame], deadline_s)
+            ]
     except (InputError, ChildError):
         return None
     if len(figures) < MIN_INSTANTS:
@@ -324,7 +318,7 @@ def _decoded(video: VideoInfo, frames: Sequence[int], deadline_s: float) -> Iter
 
 
 def _encode(image_rgb: np.ndarray) -> bytes:
-    small = reduced(np.ascontiguousarray(image_rgb), THUMBNAIL_SIDE_PX)
+    small = picture_figures.reduced(np.ascontiguousarray(image_rgb), THUMBNAIL_SIDE_PX)
     options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
     is_encoded, content = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), options)
     if not is_encoded:
@@ -347,7 +341,7 @@ def similar_views(cameras: Sequence[CameraPictures]) -> list[tuple[int, int]]:
     pairs = []
     for later, view in enumerate(views):
         alike = {
-            earlier: correlation(view, other)
+            earlier: picture_figures.correlation(view, other)
             for earlier, other in enumerate(views[:later])
             if view is not None and other is not None and view.shape == other.shape
         }
@@ -360,12 +354,15 @@ def similar_views(cameras: Sequence[CameraPictures]) -> list[tuple[int, int]]:
 def _view(camera: CameraPictures) -> Float[np.ndarray, "rows columns"] | None:
     """Detail of what stands still in a camera's view; ``None`` if there is none."""
     views = [picture.view for picture in camera.figures if not is_dark(picture)]
-    still = detail(np.median(views, axis=0)) if views else np.zeros((1, 1))
-    return still if still.std() >= DETAIL_MIN else None
+    still = picture_figures.detail(np.median(views, axis=0)) if views else np.zeros((1, 1))
+    return still if still.std() >= picture_figures.DETAIL_MIN else None
 
 
 def same_video(
-    first: CameraPictures, later: CameraPictures, of_first: Sequence[PictureFigures], of_later: Sequence[PictureFigures]
+    first: CameraPictures,
+    later: CameraPictures,
+    of_first: Sequence[picture_figures.PictureFigures],
+    of_later: Sequence[picture_figures.PictureFigures],
 ) -> Finding | None:
     """Compare the changes of two cameras with similar views.
 
@@ -378,11 +375,11 @@ def same_video(
         np.diff(np.array([picture.cells for picture in of_camera]), axis=0) for of_camera in (of_first, of_later)
     ]
     stands_still = [
-        all(largest_change(of_camera[0].cells, picture.cells) < STILL for picture in of_camera)
+        all(picture_figures.largest_change(of_camera[0].cells, picture.cells) < STILL for picture in of_camera)
         for of_camera in (of_first, of_later)
     ]
     # Where nothing moves, the same view is the same video.
-    similarity = 1.0 if all(stands_still) else correlation(*changes)
+    similarity = 1.0 if all(stands_still) else picture_figures.correlation(*changes)
     if similarity < _SAME_MOTION:
         return None
     message = f"The pictures are like the pictures of {first.camera}: one video may have been given twice."

@@ -13,17 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
+from pipeline.motion.body import joints as body_joints
 from pipeline.motion.body.coarse import coarsen
-from pipeline.motion.body.joints import (
-    BODY_INDEX,
-    BODY_JOINTS,
-    NUM_TWISTS,
-    TWIST_JOINTS,
-    about,
-    blend,
-    placed,
-    world_from_joints,
-)
 from pipeline.motion.skeleton.model import INDEX, TRUNK, WHOLE_SKELETON
 
 AGES = ("baby", "child", "young")
@@ -202,12 +193,12 @@ def _influences(
     bones: Mapping[str, Sequence[tuple[int, float]]], num_points: int
 ) -> Float[np.ndarray, "points joints"]:
     """Weights of the joints of ``BODY_JOINTS``, none of them of twist joints."""
-    weights = np.zeros((num_points, len(BODY_JOINTS)))
+    weights = np.zeros((num_points, len(body_joints.BODY_JOINTS)))
     for pattern, names in _BONES.items():
         for joint, *sided in _sides(pattern, *names):
             for bone in sided:
                 table = np.array(bones[bone], dtype=float).reshape(-1, 2)
-                np.add.at(weights[:, BODY_INDEX[joint]], table[:, 0].astype(int), table[:, 1])
+                np.add.at(weights[:, body_joints.BODY_INDEX[joint]], table[:, 0].astype(int), table[:, 1])
     return weights
 
 
@@ -251,12 +242,15 @@ def _with_twists(
     for side in ("Left", "Right"):
         elbow_m, wrist_m = places_m[f"{side}ForeArm"], places_m[f"{side}Hand"]
         along_m = wrist_m - elbow_m
-        knots = ((skin_m - elbow_m) @ along_m / (along_m @ along_m)).clip(0.0, 1.0) * (NUM_TWISTS + 1)
-        names = [f"{side}ForeArm", *(twist.name for twist in TWIST_JOINTS if twist.parent == f"{side}ForeArm")]
-        weight = influences[:, BODY_INDEX[f"{side}ForeArm"]]
+        knots = ((skin_m - elbow_m) @ along_m / (along_m @ along_m)).clip(0.0, 1.0) * (body_joints.NUM_TWISTS + 1)
+        names = [
+            f"{side}ForeArm",
+            *(twist.name for twist in body_joints.TWIST_JOINTS if twist.parent == f"{side}ForeArm"),
+        ]
+        weight = influences[:, body_joints.BODY_INDEX[f"{side}ForeArm"]]
         for knot, name in enumerate(names):
-            near = (1.0 - np.abs(knots.clip(max=NUM_TWISTS) - knot)).clip(min=0.0)
-            spread[:, BODY_INDEX[name]] = weight * near
+            near = (1.0 - np.abs(knots.clip(max=body_joints.NUM_TWISTS) - knot)).clip(min=0.0)
+            spread[:, body_joints.BODY_INDEX[name]] = weight * near
     return spread
 
 
@@ -267,22 +261,22 @@ def _pose(
 ) -> tuple[Float[np.ndarray, "vertices 3"], Float[np.ndarray, "joints 3"]]:
     """Bend a mesh from its own pose to the rest pose of the skeleton; return its vertices and joints."""
     rest_m, turns = _rest_positions(places_m), _turns(places_m)
-    for twist in TWIST_JOINTS:
+    for twist in body_joints.TWIST_JOINTS:
         forearm = turns[twist.parent]
         turn = turns[twist.hand] * forearm.inv()
         turns[twist.name] = Rotation.from_rotvec(twist.share * turn.as_rotvec()) * forearm
         elbow_m, wrist_m = rest_m[twist.parent], rest_m[twist.hand]
         rest_m[twist.name] = elbow_m + twist.share * (wrist_m - elbow_m)
     posed_m = np.zeros_like(skin_m)
-    for number, name in enumerate(BODY_JOINTS):
+    for number, name in enumerate(body_joints.BODY_JOINTS):
         moved = spread[:, number] > 0.0
         if moved.any():
             # Twist joints turn about the elbow, too: the way along the forearm does not change.
-            pivot = next((twist.parent for twist in TWIST_JOINTS if twist.name == name), name)
+            pivot = next((twist.parent for twist in body_joints.TWIST_JOINTS if twist.name == name), name)
             turned_m = rest_m[pivot] + turns[name].apply(skin_m[moved] - places_m[pivot])
             posed_m[moved] += spread[moved, number, None] * turned_m
     posed_m /= spread.sum(1, keepdims=True)
-    joints_m = np.array([rest_m[name] for name in BODY_JOINTS])
+    joints_m = np.array([rest_m[name] for name in body_joints.BODY_JOINTS])
     floor_m = np.array([0.0, 0.0, rest_m["LeftFootEnd"][2]])
     return posed_m - floor_m, joints_m - floor_m
 
@@ -301,8 +295,10 @@ def _bend(
         bend = _BENDS.get(on_left, _BENDS["LeftHand"] if on_left.startswith("LeftHand") else (0.0, 0.0, 0.0))
         mirror = (1.0, -1.0, -1.0) if joint.name.startswith("Right") else (1.0, 1.0, 1.0)
         turns_deg[number] = np.multiply(bend, mirror)
-    world = world_from_joints(Rotation.from_rotvec(turns_deg, degrees=True).as_quat())
-    return blend(vertices_m, carriers, weights, about(world, joints_m, placed(world, joints_m)))
+    world = body_joints.world_from_joints(Rotation.from_rotvec(turns_deg, degrees=True).as_quat())
+    return body_joints.blend(
+        vertices_m, carriers, weights, body_joints.about(world, joints_m, body_joints.placed(world, joints_m))
+    )
 
 
 def _rest_positions(places_m: Mapping[str, Float[np.ndarray, " 3"]]) -> dict[str, Float[np.ndarray, " 3"]]:

@@ -12,20 +12,11 @@ from pipeline.core.options.edits import PeopleEdit, edit_document
 from pipeline.core.options.job_choices import BLURRED_KIND
 from pipeline.core.records import from_json
 from pipeline.run.engine.stage import VIEWER
-from worker.store.database import stored_files
+from worker.store.database import stored_files, transitions
 from worker.store.database.access import Access, Repository, existing, newest_first
 from worker.store.database.connection import now
 from worker.store.database.rows import is_in_state, read, read_jobs, select_jobs
 from worker.store.database.tables import chunks, events, jobs, results
-from worker.store.database.transitions import (
-    cancel_chunks,
-    delete_visuals_job,
-    keep_attempt,
-    move_job,
-    note,
-    read_attempts,
-    settle_canceling,
-)
 from worker.store.errors import Conflict, NoResults, NotFinished, NotFound, VideosDeleted
 from worker.store.files.file_keys import interim_prefix, job_prefix, results_prefix, visuals_prefix
 from worker.store.model import job_records
@@ -110,7 +101,7 @@ class Jobs(stored_files.StoringRepository):
                     edits_revision=edits.revision if spec.apply_edits else None,
                 )
             )
-            note(connection, job_id, "state", JobState.QUEUED)
+            transitions.note(connection, job_id, "state", JobState.QUEUED)
             if stages:
                 insert_chunks(connection, job_id, stages)
             else:
@@ -157,7 +148,7 @@ class Jobs(stored_files.StoringRepository):
     def attempts(self, job_id: str) -> list[job_records.Attempt]:
         """Attempts of a job with their failures, the first attempt first; ``NotFound`` without a job."""
         with self._access.reading() as connection:
-            return read_attempts(connection, job_row(connection, self._access, job_id))
+            return transitions.read_attempts(connection, job_row(connection, self._access, job_id))
 
     def cancel(self, job_id: str) -> job_records.JobRecord:
         """Cancel a job: at once, or as soon as its running chunks are given back. Canceling twice is no error.
@@ -168,10 +159,10 @@ class Jobs(stored_files.StoringRepository):
             job = job_row(connection, self._access, job_id, lock=True)
             if job.state in FINISHED:
                 raise Conflict(f"The job is {job.state} already.")
-            if move_job(connection, job_id, JobState.CANCELING):
+            if transitions.move_job(connection, job_id, JobState.CANCELING):
                 record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_CANCELED, job_id)
-            cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY))
-            settle_canceling(connection, job_id)
+            transitions.cancel_chunks(connection, job_id, (ChunkState.WAITING, ChunkState.READY))
+            transitions.settle_canceling(connection, job_id)
             return self._read(connection, job_id)
 
     def retry(self, job_id: str, stages: Sequence[StagePlan], trace: str | None = None) -> job_records.JobRecord:
@@ -187,10 +178,12 @@ class Jobs(stored_files.StoringRepository):
                 require_videos(connection, job.session_id, stages, _config(self._read(connection, job_id)))
             again = {"attempt": job.attempt + 1, "queued_at": now(), "problem": None, "trace": trace, "warnings": []}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
-            if job.state not in RETRYABLE or not move_job(connection, job_id, JobState.QUEUED, **unended, **again):
+            if job.state not in RETRYABLE or not transitions.move_job(
+                connection, job_id, JobState.QUEUED, **unended, **again
+            ):
                 raise Conflict(f"Only a failed or canceled job can be retried; this one is {job.state}.")
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_RETRIED, job_id)
-            keep_attempt(connection, job)
+            transitions.keep_attempt(connection, job)
             # Files of an earlier revision stay until this one succeeds.
             connection.execute(delete(results).where(results.c.job_id == job_id, results.c.revision == job.revision))
             connection.execute(delete(chunks).where(chunks.c.job_id == job_id))
@@ -283,16 +276,16 @@ class Jobs(stored_files.StoringRepository):
             }
             again = {"attempt": row.attempt + 1, "queued_at": now(), "problem": None, "trace": trace}
             unended = {"started_at": None, "finished_at": None, "expires_at": None}
-            if row.state not in REMAKABLE or not move_job(
+            if row.state not in REMAKABLE or not transitions.move_job(
                 connection, job_id, JobState.QUEUED, **unended, **again, **changed
             ):
                 raise Conflict(f"The files of a job are made again until it has expired; this one is {row.state}.")
             record_event(connection, access.actor, tenant, AuditAction.FILES_REMADE, job_id)
-            keep_attempt(connection, row)
+            transitions.keep_attempt(connection, row)
             # Files of the last attempt, unless they are listed.
             stored_files.remove_later(connection, interim_prefix(job_id, row.attempt))
             stored_files.remove_unlisted(connection, job_id, results_prefix(job_id, row.revision))
-            delete_visuals_job(connection, job_id)
+            transitions.delete_visuals_job(connection, job_id)
             stored_files.remove_unlisted(connection, job_id, visuals_prefix(job_id, row.revision))
             plan_changes(connection, job_id, remake.stages)
             return self._read(connection, job_id)
@@ -306,7 +299,7 @@ class Jobs(stored_files.StoringRepository):
             job = job_row(connection, self._access, job_id, lock=True)
             if job.state not in FINISHED:
                 raise Conflict("The job is unfinished; cancel it first.")
-            delete_visuals_job(connection, job_id)
+            transitions.delete_visuals_job(connection, job_id)
             stored_files.remove_later(connection, job_prefix(job_id))
             stored_files.forget_answers(connection, job.tenant, job_id)
             record_event(connection, self._access.actor, job.tenant, AuditAction.JOB_DELETED, job_id)

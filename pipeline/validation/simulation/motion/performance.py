@@ -8,15 +8,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from pipeline.core.joints import COCO_17, FINGER_JOINTS, SIDES, JointSet
 from pipeline.motion.body_segments import WORLD
-from pipeline.validation.simulation.motion.body import (
-    STANDING_LEG,
-    Pose,
-    Proportions,
-    pose_joints,
-    random_proportions,
-    segment_frames,
-    turned,
-)
+from pipeline.validation.simulation.motion import body as bodies
 from pipeline.validation.simulation.motion.feet import Feet, heels_and_toes, random_foot_shape, roll
 from pipeline.validation.simulation.motion.gestures import GestureMotion, overlay, smooth_noise
 from pipeline.validation.simulation.motion.hands import Hands, finger_motion, fingers, random_scale
@@ -34,8 +26,8 @@ class SimulatedPerson:
     """Body and motion of a person on the grid of ``GRID_HZ``, from time 0 on."""
 
     # Body, its pose, and whether the person is present
-    body: Proportions
-    pose: Pose
+    body: bodies.Proportions
+    pose: bodies.Pose
     present: Bool[np.ndarray, " times"]
     # Orientation of the feet, and motion of the hands; ``None`` if their joints are not simulated
     feet: Feet | None = None
@@ -53,7 +45,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
     ``WHOLE_BODY``.
     """
     (own,) = rng.spawn(1)
-    body = random_proportions(rng)
+    body = bodies.random_proportions(rng)
     route, rests, cue_rows = lay_out(role, duration_s)
     steps = follow_steps(route, rests, body)
     feet_m = ankles(steps, body)
@@ -69,7 +61,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
     feet_m[..., 2] += acting.hop_m[:, None]
     person = SimulatedPerson(
         body=body,
-        pose=Pose(
+        pose=bodies.Pose(
             hips_m=_hips(route, feet_m, body, acting, pace),
             yaw_rad=route.yaw_rad,
             lean_rad=lean_rad,
@@ -95,7 +87,7 @@ def perform(role: Role, duration_s: float, rng: np.random.Generator, joints: Joi
 def joints_at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times joints 3"]:
     """World positions in metres of the joints for which the person was performed, NaN while the person is absent."""
     now = _at(person, time_s)
-    joints_m = pose_joints(person.body, now.pose)
+    joints_m = bodies.pose_joints(person.body, now.pose)
     shoulders_m, elbows_m, wrists_m, ankles_m = (joints_m[:, pair] for pair in _PAIRS)
     if now.feet is not None:
         joints_m = np.concatenate([joints_m, heels_and_toes(now.feet, ankles_m, person.body)], axis=1)
@@ -113,10 +105,10 @@ def segments_at(
     are not.
     """
     now = _at(person, time_s)
-    segments = segment_frames(now.pose, pose_joints(person.body, now.pose))
+    segments = bodies.segment_frames(now.pose, bodies.pose_joints(person.body, now.pose))
     if now.feet is not None:
         for foot, side in enumerate(SIDES):
-            segments[f"{side}_foot"] = turned(now.feet.yaw_rad[:, foot], now.feet.pitch_rad[:, foot]) @ WORLD
+            segments[f"{side}_foot"] = bodies.turned(now.feet.yaw_rad[:, foot], now.feet.pitch_rad[:, foot]) @ WORLD
     return {name: np.where(now.present[:, None, None], turns, np.nan) for name, turns in segments.items()}
 
 
@@ -137,7 +129,7 @@ def _at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Simulat
         hands = replace(hands, angles_rad=between(hands.angles_rad))
     return replace(
         person,
-        pose=Pose(*(between(getattr(person.pose, field.name)) for field in fields(Pose))),
+        pose=bodies.Pose(*(between(getattr(person.pose, field.name)) for field in fields(bodies.Pose))),
         present=person.present[lower] & person.present[lower + 1],
         steps=None,
         hop_m=None,
@@ -147,7 +139,7 @@ def _at(person: SimulatedPerson, time_s: Float[np.ndarray, " times"]) -> Simulat
 
 
 def _overlays(
-    role: Role, route: Route, cue_rows: list[slice], body: Proportions, rng: np.random.Generator
+    role: Role, route: Route, cue_rows: list[slice], body: bodies.Proportions, rng: np.random.Generator
 ) -> GestureMotion:
     """Concatenate the gestures of all cues at their rows; zero elsewhere."""
     num_rows = len(route.steps)
@@ -173,11 +165,11 @@ def _overlays(
     return GestureMotion(wrists, arms, drop, hop_m, lean_rad, twist_rad, back_m)
 
 
-def _hand(cue: Stay, route: Route, row: int, body: Proportions) -> Float[np.ndarray, " 3"]:
+def _hand(cue: Stay, route: Route, row: int, body: bodies.Proportions) -> Float[np.ndarray, " 3"]:
     """Wrist target at which hands meet, relative to the right shoulder of the upright person."""
     if cue.hand_m is None:
         return np.array([0.7, 0.1, -0.4])
-    world_from_upright = turned(route.yaw_rad[[row]], np.zeros(1))[0]
+    world_from_upright = bodies.turned(route.yaw_rad[[row]], np.zeros(1))[0]
     shoulder_m = np.array([*route.xy_m[row], body.shoulder_height_m])
     shoulder_m -= body.shoulder_width_m / 2 * world_from_upright[:, 1]
     return np.asarray((np.asarray(cue.hand_m) - shoulder_m) @ world_from_upright / body.arm_m)
@@ -198,17 +190,17 @@ def _wrists(acting: GestureMotion, pace: np.ndarray, stride: np.ndarray) -> Floa
 
 
 def _hips(
-    route: Route, feet_m: np.ndarray, body: Proportions, acting: GestureMotion, pace: np.ndarray
+    route: Route, feet_m: np.ndarray, body: bodies.Proportions, acting: GestureMotion, pace: np.ndarray
 ) -> Float[np.ndarray, "times 3"]:
     """Centre of the hips in metres, at the height of the posture, limited by the reach of the legs."""
-    world_from_hips = turned(route.yaw_rad, np.zeros_like(route.yaw_rad))
+    world_from_hips = bodies.turned(route.yaw_rad, np.zeros_like(route.yaw_rad))
     # For balance the hips sway over the standing foot in walking, and move back in a lean.
     sway_m = 0.02 * pace * np.sin(np.pi * (route.steps - 0.1))
     back_m = 0.4 * body.trunk_m * np.sin(acting.lean_rad) + acting.back_m
     xy_m = route.xy_m + sway_m[:, None] * world_from_hips[:, :2, 1] - back_m[:, None] * world_from_hips[:, :2, 0]
     aside = body.hip_width_m / 2 * _SIDES[:, None] * world_from_hips[:, None, :2, 1]
     across_m = np.linalg.norm(xy_m[:, None] + aside - feet_m[..., :2], axis=-1)
-    leg_m = STANDING_LEG * body.leg_m
+    leg_m = bodies.STANDING_LEG * body.leg_m
     highest_m = (feet_m[..., 2] + np.sqrt(np.maximum(leg_m**2 - across_m**2, 0.0))).min(1)
     asked_m = body.ankle_height_m + leg_m - acting.drop * body.leg_m + acting.hop_m
     height_m = gaussian_filter1d(np.minimum(asked_m, highest_m), 0.04 * GRID_HZ, mode="nearest")

@@ -18,6 +18,7 @@ from api.web.live.cameras import WrongSourceError, read_cameras
 from api.web.live.schemas import LiveCamerasStart
 from api.web.settings import Settings
 from pipeline.core.problems.finding_codes import CAMERA_SOURCE
+from pipeline.run.live.cameras import sources
 from tests.api.conftest import Live, running
 from tests.api.web.live.conftest import LiveSocket, opened
 from tests.api.web.live.messages import CALIBRATION, CAMERA_PROGRAM
@@ -101,7 +102,7 @@ def test_files_and_other_schemes_are_never_opened(is_private: bool) -> None:
 
 
 def test_all_problems_come_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cameras, "find_devices", lambda: {"/dev/video0": "Webcam"})
+    monkeypatch.setattr(sources, "find_devices", lambda: {"/dev/video0": "Webcam"})
     given = start("/dev/video0", "ftp://a/", outputs=["vmc://127.0.0.1"]).model_copy(
         update={"cameras": start("/dev/video0", "ftp://a/").cameras[:1] * 2 + start("x", "ftp://a/").cameras[1:]}
     )

@@ -21,7 +21,7 @@ from pipeline.run.live.records import DetectedFrame, LiveInstant
 from pipeline.run.live.settings import LiveSettings, read_bodies
 from pipeline.run.live.skeleton import LearntBones, learn_bones
 from pipeline.validation.evaluation.datasets.rendered import load_rendered
-from pipeline.validation.simulation.motion import performance
+from pipeline.validation.simulation.motion import body as bodies
 from pipeline.validation.simulation.motion.body import Proportions, random_proportions
 from pipeline.validation.simulation.motion.director import Cast
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
@@ -48,7 +48,7 @@ def same_build(_: np.random.Generator) -> Proportions:
 def twins() -> Simulation:
     """Two people of the same proportions, who walk about."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(performance, "random_proportions", same_build)
+        patch.setattr(bodies, "random_proportions", same_build)
         return record(replace(SCENES["room"], cast=Cast(2, (3.0, 3.0)), duration_s=10.0), 1)
 
 
