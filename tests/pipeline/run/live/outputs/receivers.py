@@ -10,6 +10,7 @@ import queue
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -220,15 +221,19 @@ class QtmReceiver(OutputReceiver):
 
     async def _begin(self) -> None:
         self._connection = await qtm_rt.connect("127.0.0.1", self._port + 1)
-        document = ElementTree.fromstring(await self._connection.get_parameters(["skeleton"]))
         others = {"Spine1": "Chest", "LeftToeBase": "LeftFootEnd", "RightToeBase": "RightFootEnd"}
-        self._names = [
-            {
-                int(segment.get("ID")): others.get(segment.get("Name"), segment.get("Name"))
-                for segment in body.iter("Segment")
-            }
-            for body in document.findall("Skeletons/Skeleton")
-        ]
+        self._names: list[dict[int, str]] = []
+        end_s = time.monotonic() + WAIT_S
+        # The server may not have had its first instant yet.
+        while len(self._names) < NUM_PEOPLE and time.monotonic() < end_s:
+            document = ElementTree.fromstring(await self._connection.get_parameters(["skeleton"]))
+            self._names = [
+                {
+                    int(segment.get("ID")): others.get(segment.get("Name"), segment.get("Name"))
+                    for segment in body.iter("Segment")
+                }
+                for body in document.findall("Skeletons/Skeleton")
+            ]
         assert len(self._names) == NUM_PEOPLE
         await self._connection.stream_frames(components=["skeleton:global"], on_packet=self._packets.put_nowait)
 
