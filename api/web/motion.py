@@ -360,9 +360,11 @@ def _content(file: BinaryIO, parts: Sequence[_Part], sent: ByteRange) -> Generat
         for part in parts:
             first, stop = max(sent.start - place, 0), min(sent.stop - place, part.num_bytes)
             place += part.num_bytes
+            if first >= stop:
+                continue
             if part.head is not None:
                 yield part.head[first:stop]
-            elif first < stop:
+            else:
                 yield from read_blocks(file, ByteRange(part.start + first, part.start + stop))
 
 

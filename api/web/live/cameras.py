@@ -86,7 +86,8 @@ def read_cameras(
             pointer = pointer_to("cameras", place, "source")
             errors.append(ErrorItem(code=code, message=message, hint=hint, pointer=pointer, camera=name))
         else:
-            if source.address in {earlier.address for earlier in sources}:
+            # Two names may have one IP address, and be two cameras behind it.
+            if (source.address, source.host) in {(earlier.address, earlier.host) for earlier in sources}:
                 pointer = pointer_to("cameras", place, "source")
                 errors.append(
                     ErrorItem(code=CAMERA_SOURCE, message=camera_sources.REPEATED_SOURCE, pointer=pointer, camera=name)

@@ -166,7 +166,7 @@ def _check_videos(videos: Sequence[DamagedVideo]) -> Iterator[_Failed]:
 
 
 def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Iterator[_Failed]:
-    if seen or take.own.objects:
+    if seen:
         return
     if take.is_emptied:
         yield failed_check(
@@ -176,6 +176,8 @@ def _check_people(seen: Mapping[int, np.ndarray], take: Reconstruction) -> Itera
         return
     check = take.check
     errors = list(_reasons(check))
+    if take.own.objects and not errors and not any(check.people.values()):
+        return  # a take of animals
     reason = (
         "Check that the calibration belongs to these videos, that the videos are synchronised, and that at least two "
         "cameras see the same person."

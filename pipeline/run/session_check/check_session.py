@@ -165,14 +165,17 @@ def check_bodies(
 ) -> SessionCheck:
     """Check a session by the people at a few instants, with the detections at least of these instants.
 
-    Takes of animals have nothing to compare.
+    Takes of animals alone have nothing to compare.
     """
     instants = choose_instants(parts)
     time_s = [session.timebase.time_s(instant) for instant in instants]
     frames = frames_at_instants(session.times, session.timebase, parts)
     sightings = collect_sightings(session.cameras, detections, frames, joints, time_s)
     people = {camera.name: sightings.num_people(number) for number, camera in enumerate(session.cameras)}
-    if isinstance(session, KeypointSession) and any(len(rows.frame) for rows in session.own.of_animals.values()):
+    has_animals = isinstance(session, KeypointSession) and any(
+        len(rows.frame) for rows in session.own.of_animals.values()
+    )
+    if has_animals and not any(people.values()):
         return SessionCheck((), people, len(instants))
     checked = check_people(session.cameras, sightings)
     return SessionCheck(checked.findings, people, len(instants), checked.num_located)

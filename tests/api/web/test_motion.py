@@ -88,6 +88,8 @@ RANGES = [
     # From the head of the first person into the frames of the third.
     (f"bytes=3-{len(WHOLE) - 50}", 3, len(WHOLE) - 49),
     ("bytes=1300-1400", 1300, 1401),
+    # The last bytes before the head of the second person, which a length of 16 bytes could reach from the wrong side.
+    (f"bytes=1440-{len(part(1, 0, 30)) - 5}", 1440, len(part(1, 0, 30)) - 4),
     ("bytes=-10", len(WHOLE) - 10, len(WHOLE)),
 ]
 

@@ -81,6 +81,15 @@ def test_public_address_is_opened_as_checked(monkeypatch: pytest.MonkeyPatch) ->
     assert first.shown == "rtsp://cam.example:8554/a"
 
 
+def test_hosts_behind_one_address_are_two_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "getaddrinfo", look_up("8.8.8.8"))
+    names = ["left", "right"]
+    first, second = read_cameras(start("https://one.example/v", "https://two.example/v"), names, False, no_phone)
+    assert (first.address, first.host, second.host) == (second.address, "one.example", "two.example")
+    found = refusals(start("https://one.example/v", "https://one.example/v"), False)
+    assert found == [("/cameras/1/source", sources.REPEATED_SOURCE)]
+
+
 @pytest.mark.parametrize(
     "address",
     ["127.0.0.1", "10.1.2.3", "169.254.169.254", "192.168.0.10", "::1", "fe80::1", "fd00::1", "::ffff:10.0.0.1"],

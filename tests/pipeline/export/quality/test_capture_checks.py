@@ -6,6 +6,7 @@ import numpy as np
 from pipeline.association.identity.likenesses import Likenesses
 from pipeline.core.data.cameras import Camera, CameraBump, CameraMove, Refinement, WorldMove
 from pipeline.core.data.detections import DamagedVideo
+from pipeline.core.data.own_points import OwnTracks, SceneObject
 from pipeline.core.data.people import Doubt, Observations, PersonLoss
 from pipeline.core.findings import Finding, SessionCheck, Severity
 from pipeline.core.joints import COCO_17
@@ -61,6 +62,15 @@ def test_empty_result_says_why() -> None:
     message, reason, codes = nobody(SessionCheck((), {"a": 24, "b": 12}, 12))
     assert "24 in a, 12 in b, at 12 instants" in message
     assert (reason, codes) == ("not_matched", ["nobody_found"])
+
+
+def test_ball_does_not_hide_that_nobody_was_found() -> None:
+    ball = OwnTracks(objects=(SceneObject("ball", ("ball",), TRACK),))
+    unmatched = SessionCheck((), {"a": 24, "b": 12}, 12)
+    undetected = SessionCheck((Finding(NOBODY_DETECTED, "Nobody was detected.", None, "error"),), {"a": 0, "b": 0}, 12)
+    for check, codes in ((unmatched, ["nobody_found"]), (undetected, ["nobody_found"]), (SessionCheck(), [])):
+        take = replace(reconstruction(), own=ball, check=check)
+        assert [found["code"] for found in capture_checks(take, {}, Likenesses())] == codes
 
 
 def test_two_cameras_are_few() -> None:
