@@ -32,7 +32,9 @@ from tests.pipeline.simulations import write_simulation
 pytestmark = pytest.mark.xdist_group("service")
 
 ROOT = Path(__file__).parents[2]
-PAGES = {path.stem: path for path in (*sorted((ROOT / "docs/start").glob("*.md")), ROOT / "README.md")}
+START = ROOT / "docs/start"
+PAGES = {path.relative_to(START).with_suffix("").as_posix(): path for path in sorted(START.rglob("*.md"))}
+PAGES["README"] = ROOT / "README.md"
 ADDRESS = "http://127.0.0.1:8000"
 FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\S*)\n(?P<text>.*?)^(?P=indent)```$", re.MULTILINE | re.DOTALL)
 CONTAINERS = "docker/verify/containers.sh"
