@@ -186,6 +186,7 @@ def test_metrics_say_how_far_joints_are_in_each_format(capture: ExportedCapture,
 def test_metrics_say_distance_in_formats_without_presets(capture: ExportedCapture) -> None:
     check = json.loads((capture.of_preset("default") / "metrics.json").read_bytes())["exports"]
     assert max(check.pop(export)["max_difference_deg"] for export in ("angles", "mot")) < 0.001
+    assert check.pop("forces")["max_difference_si"] < 0.001
     assert max(check[export]["max_distance_mm"] for export in check if export != "bvh") < 0.1
 
 
