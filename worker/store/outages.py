@@ -61,7 +61,7 @@ def find_outage(error: BaseException) -> Outage | None:
 
 
 @contextlib.contextmanager
-def undone_if_lost() -> Iterator[contextlib.ExitStack]:
+def undo_on_failure() -> Iterator[contextlib.ExitStack]:
     """Call what is put on the stack if the block fails, unless its transaction may have been committed.
 
     It may have been if the database's answer was lost. Files that it names are kept then; files without a row are

@@ -19,23 +19,17 @@ if not shows_help():
     from pipeline.association.clustering.cluster_people import find_poses, first_lengths, sampled_frames
     from pipeline.association.clustering.instant.candidates import FieldEvidence
     from pipeline.association.clustering.skeleton import clustering_skeleton
-    from pipeline.geometry.camera import image_from_world
-    from pipeline.run.warm_up import warm_up
-    from pipeline.validation.simulation.scenes import SCENES, Simulation, record
-    from pipeline.validation.simulation.views.fields import GRID, render
-
-if not shows_help():
-    import numpy as np
-
     from pipeline.association.tracking.track_people import reconstruct_tracks
     from pipeline.association.tracking.tracking_parameters import derive_parameters
+    from pipeline.geometry.camera import image_from_world
     from pipeline.run.warm_up import warm_up
     from pipeline.validation.evaluation.baselines import associate_pairwise
     from pipeline.validation.simulation.motion.director import Cast
     from pipeline.validation.simulation.rigs import Clock, Layout, Rig
-    from pipeline.validation.simulation.scenes import Scene, Simulation, record
+    from pipeline.validation.simulation.scenes import SCENES, Scene, Simulation, record
     from pipeline.validation.simulation.views.detector import DetectorAccuracy
     from pipeline.validation.simulation.views.faults import NO_FAULTS
+    from pipeline.validation.simulation.views.fields import GRID, render
 
     # Detector with 3 px of noise and no other faults.
     _DETECTOR = DetectorAccuracy(noise_m=0.0, noise_px=3.0, faults=NO_FAULTS)

@@ -12,7 +12,7 @@ from pipeline.core.problems.request_codes import INVALID_VALUE
 if not shows_help():
     import numpy as np
 
-    from pipeline.core.runtime.npz import encode_arrays, read_strange
+    from pipeline.core.runtime.npz import encode_arrays, read_untrusted_arrays
     from pipeline.export.writers.body_npz import LANDMARKS
     from pipeline.motion.body import installed
     from pipeline.motion.body.smplx_joints import SMPLX_JOINTS
@@ -57,7 +57,7 @@ def _fit(path: Path, body_model: Path) -> dict[str, object]:
     """Fit a model to a person, and write the file; its path, and the median distance."""
     reason = "its joints, poses or landmarks are others"
     try:
-        arrays = read_strange(path, (*_KEPT, *_USED), MOST_BYTES)
+        arrays = read_untrusted_arrays(path, (*_KEPT, *_USED), MOST_BYTES)
         names, marks, num_frames = (
             arrays["joint_names"].tolist(),
             arrays["landmark_names"].tolist(),

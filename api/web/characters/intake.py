@@ -19,7 +19,7 @@ from pipeline.core.problems.session_codes import BONES_INVALID
 from worker.store.errors import DamagedArtifact, NotFound
 from worker.store.files.file_keys import character_key, character_prefix
 from worker.store.model.character_records import Character, StoredCharacterFile
-from worker.store.outages import undone_if_lost
+from worker.store.outages import undo_on_failure
 from worker.store.tenant_records import TenantRecords
 
 MEDIA_TYPES = ("model/gltf-binary", "application/octet-stream")
@@ -68,7 +68,7 @@ def stored_character(services: Services, checked: CheckedCharacter) -> Iterator[
     """
     character_id = services.store.characters.reserve_id()
     sent, key = checked.file, character_key(character_id)
-    with undone_if_lost() as undo:
+    with undo_on_failure() as undo:
         undo.callback(services.artifacts.delete_prefix, character_prefix(character_id))
         services.artifacts.put_file(key, sent.path)
         yield character_id, StoredCharacterFile(sent.name, key, sent.num_bytes, sent.sha256)

@@ -140,8 +140,8 @@ def _disk_check(disk: DiskSpace) -> ErrorItem | None:
     if disk.has_room():
         return None
     left, headroom = disk.free_bytes // 2**20, disk.headroom_bytes // 2**20
-    what = f"{left} MiB left; {headroom} MiB are kept free" if disk.has_inodes else "no inodes left for new files"
-    message, hint = f"The disk has {what}, so nothing new is accepted.", "Delete captures that are no longer needed."
+    reason = f"{left} MiB left; {headroom} MiB are kept free" if disk.has_inodes else "no inodes left for new files"
+    message, hint = f"The disk has {reason}, so nothing new is accepted.", "Delete captures that are no longer needed."
     return ErrorItem(code=request_codes.STORAGE_FULL, message=message, hint=hint)
 
 

@@ -36,7 +36,7 @@ from worker.store.model.character_records import JobCharacter
 from worker.store.model.job_records import JobRecord, job_config
 from worker.store.model.session_records import SessionEdits
 from worker.store.model.work import StagePlan
-from worker.store.outages import undone_if_lost
+from worker.store.outages import undo_on_failure
 from worker.store.repositories.work.workers import shared_by_ready
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
@@ -214,7 +214,7 @@ def copied_character(
         place = prefix = records.jobs.reserve_copy(job_id)
         key = f"{prefix}file"
     file = replace(character.file, key=key)
-    with undone_if_lost() as undo:
+    with undo_on_failure() as undo:
         undo.callback(services.artifacts.delete_prefix, prefix)
         services.settings.spool_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=services.settings.spool_dir) as folder:

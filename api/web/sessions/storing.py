@@ -21,7 +21,7 @@ from pipeline.capture.preflight_record import Preflight, thumbnail_name
 from worker.store.files.file_keys import input_key, record_key, session_prefix, thumbnail_key
 from worker.store.model.job_records import JobRecord
 from worker.store.model.session_records import InputFile, Purpose, Session
-from worker.store.outages import undone_if_lost
+from worker.store.outages import undo_on_failure
 from worker.store.spec import JobSpec
 from worker.store.tenant_records import TenantRecords
 
@@ -157,7 +157,7 @@ def stored(services: Services, checked: CheckedSession, new: NewSession | None =
     was lost, if it was not committed.
     """
     new = new or new_session(services, checked)
-    with undone_if_lost() as undo:
+    with undo_on_failure() as undo:
         for upload_id, *_ in new.fetches:
             undo.callback(services.uploads.remove, upload_id)
             services.uploads.create(0, upload_id)

@@ -10,7 +10,7 @@ from pipeline.core.problems import request_codes
 from pipeline.core.problems.code_group import Code
 from worker.run.webhooks.addresses import may_be_public, url_fault
 from worker.store.model.session_records import Upload
-from worker.store.outages import undone_if_lost
+from worker.store.outages import undo_on_failure
 from worker.store.tenant_records import TenantRecords
 
 FETCH_RETRY_S = 2
@@ -32,7 +32,7 @@ def begun_upload(
     """
     uploads, keep_s = services.uploads, services.settings.upload_keep_s
     upload_id = uploads.create(num_bytes)
-    with undone_if_lost() as undo:
+    with undo_on_failure() as undo:
         undo.callback(uploads.remove, upload_id)
         with records.transaction() as work:
             yield work, work.uploads.add(upload_id, name, num_bytes, metadata, keep_s, uploads.name, source_url)

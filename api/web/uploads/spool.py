@@ -116,7 +116,7 @@ class UploadSpool(ABC):
     """Place of the bytes of uploads: a folder of this API process, or a bucket that all API processes share.
 
     The number of bytes that are stored is the upload's offset and is stored nowhere else, so that it is right after a
-    crash at any moment. Bytes are stored for good before they are acknowledged. One request at a time writes to one.
+    crash at any moment. Bytes are stored for good before they are acknowledged. One request at a time writes an upload.
     """
 
     name: str

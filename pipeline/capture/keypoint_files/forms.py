@@ -1,7 +1,7 @@
 """Forms of keypoint files: the reader of a file, found by its ending and its content."""
 
 from collections.abc import Iterable
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
@@ -34,7 +34,7 @@ def frame_endings() -> frozenset[str]:
     return frozenset(suffix for reader in single for suffix in reader.suffixes) - {TEXT}
 
 
-@cache
+@lru_cache(maxsize=64)  # of endings that strangers choose
 def list_readers(ending: str) -> list[KeypointReader]:
     """Readers of files with an ending, by their ranks."""
     return [reader for reader in keypoint_readers() if ending.lower() in reader.suffixes]

@@ -64,7 +64,7 @@ def open_archive(content: bytes | Path | BinaryIO) -> NpzFile:
     return opened
 
 
-def read_strange(path: Path, names: Collection[str], max_bytes: int) -> dict[str, np.ndarray]:
+def read_untrusted_arrays(path: Path, names: Collection[str], max_bytes: int) -> dict[str, np.ndarray]:
     """Read arrays of a file that a stranger made; ``ValueError`` states the reason why they can't be read."""
     try:
         with path.open("rb") as file, open_archive(file) as archive:

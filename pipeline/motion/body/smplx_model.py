@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.problems.request_codes import INVALID_VALUE
-from pipeline.core.runtime.npz import read_strange
+from pipeline.core.runtime.npz import read_untrusted_arrays
 from pipeline.motion.body.smplx_joints import JOINT_MAP, NUM_BODY, SMPLX_JOINTS
 
 NUM_BETAS = 10
@@ -66,7 +66,7 @@ def read_model(path: Path, landmarks: tuple[str, ...]) -> SmplxModel:
     Raises ``InputError`` if the file is no model of SMPL-X.
     """
     try:
-        arrays = read_strange(path, _NAMES, MOST_BYTES)
+        arrays = read_untrusted_arrays(path, _NAMES, MOST_BYTES)
         fault = _fault(arrays)
     except ValueError as error:
         fault = str(error)

@@ -98,7 +98,8 @@ class FilesInPieces(KeptFiles):
         )
         named = person.motion.name if holds_name else _NOBODY
         # Forces depend on the floor, and on people who may touch the person.
-        of_take = (person.floor, *(other.xyz_m for other in person.others)) if name == "forces" else ()
+        others = (part for other in person.others for part in (other.start_frame, other.xyz_m))
+        of_take = (person.floor, *others) if name == "forces" else ()
         return self._pieces.key(name, self._digested[1], named, *of_take)
 
 

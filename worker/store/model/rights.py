@@ -46,7 +46,7 @@ class AuditEvent:
 
     done_at: datetime
     tenant: str
-    key_id: str | None  # Like ``Actor``, as the next one
+    key_id: str | None  # This and the request are as in ``Actor``
     request_id: str | None
     act: str
     subject: str

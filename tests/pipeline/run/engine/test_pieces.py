@@ -242,3 +242,17 @@ def test_key_depends_on_every_value(session: KeypointSession, cache: Path) -> No
     keys = [pieces.key(person) for person in people]
     assert len(set(keys)) == len(keys)
     assert pieces.key(dataclasses.replace(one)) == keys[0]
+
+
+def test_forces_depend_on_people_who_may_touch(session: KeypointSession, cache: Path, tmp_path: Path) -> None:
+    person = next(iter(take_people(edited(session, cache), "take", "capsules")))
+    kept, (first, *_) = FilesInPieces(KeptPieces(), tmp_path), person.others
+    moved_m = first.xyz_m.copy()
+    moved_m[0, 0, 0] += 1.0
+    changed = [
+        dataclasses.replace(first, start_frame=first.start_frame + 1),
+        dataclasses.replace(first, xyz_m=moved_m),
+    ]
+    people = [person, *(dataclasses.replace(person, others=(other,)) for other in changed)]
+    for name, num_keys in (("forces", 3), ("bvh", 1)):
+        assert len({kept._key(one, name) for one in people}) == num_keys
