@@ -98,11 +98,11 @@ def test_start_is_on_the_clock_of_the_frames() -> None:
 
 
 def test_contacts_alone_tell_start_without_centre_of_mass() -> None:
-    """Joints without ears have no centre of mass; ends of contacts are tens of milliseconds wrong, and stated so."""
+    """Bodies without wrists have no centre of mass; ends of contacts are tens of milliseconds wrong, and stated so."""
     act = walk(1.2, num_cameras=4, rate_hz=30.0)
     laboratory = simulated(act, LEAD_S, 6.0, plates_m(act, ROW))
     animation = animated(act)
-    names = tuple(name.replace("ear", "temple") for name in act.joints.names)
+    names = tuple(name.replace("wrist", "cuff") for name in act.joints.names)
     joints = type(act.joints)(names, act.joints.bones)
     timebase = Timebase(0.0, act.rate_hz, animation.tracks[0].num_frames)
     found = placed_in_time(laboratory, animation, joints, timebase, Subject())
