@@ -62,13 +62,14 @@ def read_cameras(
     start: LiveCamerasStart | LiveRecordStart,
     known: Collection[str] | None,
     is_private: bool,
-    require_phone: Callable[[str], None],
+    require_phone: Callable[[str], str],
 ) -> list[camera_sources.CameraSource]:
     """Sources of the cameras of a start; raises ``SocketProblem`` with all that is wrong.
 
     Names of hosts are resolved here where only public addresses are allowed, and the checked address is what is opened.
     ``known`` are the names of the calibrated cameras; ``None``: there is no calibration yet. With ``is_private``
-    cameras of this machine and of private networks are allowed. ``require_phone`` refuses what is no phone.
+    cameras of this machine and of private networks are allowed. ``require_phone`` refuses what is no phone; it returns
+    the address in one form, because ids may have capital letters.
     """
     errors: list[ErrorItem] = []
     sources: list[camera_sources.CameraSource] = []
@@ -104,15 +105,14 @@ def read_cameras(
 
 
 def _source(
-    name: str, text: str, devices: dict[str, str], resolve_end_s: float | None, require_phone: Callable[[str], None]
+    name: str, text: str, devices: dict[str, str], resolve_end_s: float | None, require_phone: Callable[[str], str]
 ) -> camera_sources.CameraSource:
     """Source of a text; ``resolve_end_s`` is the end of the time for names, ``None``: all addresses are allowed."""
     scheme, sign, _ = text.partition("://")
     if text in devices:
         return camera_sources.CameraSource(name, "device", text)
     if sign and scheme == "phone":
-        require_phone(text)
-        return camera_sources.CameraSource(name, "phone", text)
+        return camera_sources.CameraSource(name, "phone", require_phone(text))
     if not sign:
         listed = f"Its cameras are {', '.join(devices)}." if devices else "It has none."
         further = listed if resolve_end_s is None else _PRIVATE_HINT
@@ -280,8 +280,8 @@ class WrongSourceError(Exception):
     """A source of a camera can't be opened: code, message and hint."""
 
 
-def require_phone(records: TenantRecords, source: str) -> None:
-    """Require that a source, ``phone://RECORDING_ID/NUMBER``, is a phone of the tenant; raises ``WrongSourceError``."""
+def require_phone(records: TenantRecords, source: str) -> str:
+    """Address ``phone://RECORDING_ID/NUMBER`` of a phone of the tenant; raises ``WrongSourceError`` without one."""
     try:
         recording_id, number = _parts(source)
         phones = records.recordings.get(recording_id).phones
@@ -293,6 +293,7 @@ def require_phone(records: TenantRecords, source: str) -> None:
         names = listed_names([f"{one} ({name})" for one, name in known.items()])
         hint = f"Its phones are {names}." if known else "Let phones join it first."
         raise WrongSourceError(CAMERA_SOURCE, "The recording has no such phone.", hint)
+    return f"phone://{recording_id}/{number}"
 
 
 @contextlib.asynccontextmanager

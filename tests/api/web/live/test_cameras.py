@@ -52,7 +52,7 @@ def start(*sources: str, **changes: Any) -> LiveCamerasStart:
     return LiveCamerasStart.model_validate_json(json.dumps(start_message(*sources, **changes)))
 
 
-def no_phone(_source: str) -> None:
+def no_phone(_source: str) -> str:
     raise WrongSourceError(CAMERA_SOURCE, "There is no such recording, or it has ended.", None)
 
 

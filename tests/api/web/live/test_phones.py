@@ -197,7 +197,7 @@ def test_phones_that_are_not_there_are_told_all_at_once(service: Live) -> None:
                 assert hint in {None, errors[0]["hint"]}
         with opened(service) as connection:
             client = LiveSocket(connection)
-            client.send(start_message(*[f"phone://{recording.id}/1"] * 2))
+            client.send(start_message(f"phone://{recording.id}/1", f"phone://{recording.id.upper()}/1"))
             (error,) = client.problem()["errors"]
             assert (error["pointer"], error["message"]) == (
                 "/cameras/1/source",
