@@ -83,6 +83,9 @@ def camera_folders(
         hint = "Provide a folder of keypoint files for each camera."
         if kinds := forms.described(path.name for path in entries if path.is_file()):
             message, hint = f"{message} {kinds[0]}", f"{hint} {kinds[1]}"
+        files = [path for path in entries if path.is_file() and path.suffix.lower() not in frame_endings()]
+        if len(captures := _captures(files)) > 1:
+            hint = f"Put each file into a folder with its camera's name, such as {captures[0].stem}/{captures[0].name}."
         problems.append(Problem(session_codes.TOO_FEW_FOLDERS, message, file=folder.name, hint=hint))
     return folders
 

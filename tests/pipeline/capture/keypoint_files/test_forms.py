@@ -86,6 +86,15 @@ def test_object_of_two_formats_is_named(tmp_path: Path) -> None:
     assert "annots of EasyMocap and people of OpenPose" in problems[0].message
 
 
+def test_files_of_cameras_in_one_folder_are_told_where_to_go(tmp_path: Path) -> None:
+    for name in ("left.csv", "right.csv"):
+        (tmp_path / name).write_bytes(b"")
+    problems: list[Problem] = []
+    camera_folders(tmp_path, [], problems)
+    assert [problem.code for problem in problems] == ["too_few_folders"]
+    assert "such as left/left.csv" in (problems[0].hint or "")
+
+
 @pytest.mark.parametrize(
     ("name", "words", "advice"),
     [
