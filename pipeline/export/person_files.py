@@ -4,8 +4,10 @@ import contextlib
 import errno
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -29,7 +31,7 @@ from pipeline.export.writers.registry import PersonContent, find_writer
 from pipeline.export.writers.rotation_orders import BetweenFrames
 from pipeline.motion.angles.compute import JointAngles, joint_angles
 from pipeline.motion.balance.compute import Balance, balance_of
-from pipeline.motion.forces.person_forces import PersonForces, forces_of
+from pipeline.motion.forces.person_forces import PersonForces, forces_document, forces_of
 from pipeline.motion.skeleton.model import forward_kinematics
 
 SKELETONS = "skeletons"
@@ -38,7 +40,7 @@ SKELETONS = "skeletons"
 _MM_PER_M = 1000.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class PersonOfTake:
     """A person whose files are written."""
 
@@ -63,8 +65,11 @@ class PersonOfTake:
     others: tuple[Track3D, ...] = ()  # Other people of the take
 
     def forces(self) -> PersonForces | None:
-        """Forces of the person; those of the last person who was asked are kept."""
-        return _forces(self)
+        """Forces of the person, computed once."""
+        if self not in _FORCES:
+            of_take = self.floor, self.others, self.laboratory, self.timebase
+            _FORCES[self] = forces_of(self.motion, self.track, self.joints, self.subject, *of_take)
+        return _FORCES[self]
 
     @property
     def all_points(self) -> Track3D:
@@ -72,10 +77,14 @@ class PersonOfTake:
         return self.track if self.own is None else joined(self.track, self.own)
 
 
-@lru_cache(maxsize=1)
-def _forces(person: PersonOfTake) -> PersonForces | None:
-    of_take = person.floor, person.others, person.laboratory, person.timebase
-    return forces_of(person.motion, person.track, person.joints, person.subject, *of_take)
+# Forces end with the person: processes that write files live longer than a take.
+_FORCES = WeakKeyDictionary[PersonOfTake, PersonForces | None]()
+
+
+def force_figures(people: Iterable[PersonOfTake]) -> list[dict[str, Any]]:
+    """Figures of people's forces for ``metrics.json``, without people who have none."""
+    of_people = ((person.track.track_id, person.forces()) for person in people)
+    return [forces_document(forces, number) for number, forces in of_people if forces is not None]
 
 
 def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:

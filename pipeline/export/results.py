@@ -36,7 +36,6 @@ from pipeline.export.writers import c3d_file, csv_table, force_tables, skeletons
 from pipeline.export.writers.angle_tables import BALANCE, balance_table, gait_tables
 from pipeline.export.writers.registry import find_writer
 from pipeline.motion.balance.compute import balance_of
-from pipeline.motion.forces.person_forces import forces_document
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.motion.skeleton.model import forward_kinematics
 
@@ -228,8 +227,9 @@ def write_files(
                 written[name][person.track.track_id] = file
                 if name != person_files.SKELETONS:
                     complete(of_person[name])
-            for path, pieces in _loads(person, folder, figures) if "forces" in exports else ():
+            for path, pieces in _loads(person, folder) if "forces" in exports else ():
                 keep(path, pieces)
+            figures += person_files.force_figures([person] if "forces" in exports and shown is reconstruction else ())
         path = folder / "skeletons.json"
         with person_files.replacing(path, skeletons_json.join(shown, tracks)) as part:
             _require_equal(part, path, skeletons_json.join(shown, tracks))
@@ -254,7 +254,8 @@ def write_files(
         keep(path, pieces)
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         keep(folder / CALIBRATION, [encode_calibration(reconstruction.cameras)])
-    asked = {"forces": figures} if "forces" in exports else {}
+    at_session_rate = () if shown is reconstruction else person_files.take_people(reconstruction, timeline, body)
+    asked = {"forces": figures or person_files.force_figures(at_session_rate)} if "forces" in exports else {}
     path, metrics = folder / METRICS, report(reconstruction) | asked | {"exports": check}
     if of_takes.too_large:
         metrics["capture_checks"] = [*metrics["capture_checks"], *of_takes.too_large]
@@ -302,19 +303,11 @@ def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[byt
         yield from ((folder / f"person-{track.track_id}.{kind}.csv", pieces) for kind, pieces in tables)
 
 
-def _loads(
-    person: person_files.PersonOfTake, folder: Path, figures: list[dict[str, Any]]
-) -> Iterator[tuple[Path, list[bytes]]]:
-    """Path and content of the files with external loads for OpenSim; none of a person whose mass is unknown.
-
-    The figures of the person's forces are added to ``figures``.
-    """
-    forces, number = person.forces(), person.track.track_id
-    if forces is None:
-        return
-    figures.append(forces_document(forces, number))
-    if forces.mass_kg is not None:
-        path = folder / f"person-{number}.forces.mot"
+def _loads(person: person_files.PersonOfTake, folder: Path) -> Iterator[tuple[Path, list[bytes]]]:
+    """Path and content of the files with external loads for OpenSim; none of a person whose mass is unknown."""
+    forces = person.forces()
+    if forces is not None and forces.mass_kg is not None:
+        path = folder / f"person-{person.track.track_id}.forces.mot"
         yield path, list(force_tables.external_loads(forces, person.timebase, person.frames, path.name))
         yield path.with_suffix(".xml"), [force_tables.external_loads_setup(path.name)]
 

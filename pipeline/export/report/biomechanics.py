@@ -310,18 +310,18 @@ def force_rows(people: Sequence[NamedFigures], forces: Sequence[Mapping[str, Any
     """Rows of ``FORCE_COLUMNS``: means of each side's stances in body weights, and a row of the person's asymmetry."""
     names = {figures["id"]: name for name, figures in people}
     rows = []
-    for found in forces:
-        jumps = ", ".join(f"{jump['by_impulse_m']:.2f} m" for jump in found["jumps"])
+    for person in forces:
+        jumps = ", ".join(f"{jump['by_impulse_m']:.2f} m" for jump in person["jumps"])
         for side in SIDES:
-            stances = [stance for stance in found["stances"] if stance["side"] == side]
+            stances = [stance for stance in person["stances"] if stance["side"] == side]
             means = [
                 f"{np.mean([stance[figure] for stance in stances]):.2f} {unit}" if stances else "-"
                 for figure, unit in _OF_STANCES.items()
             ]
-            rows.append((names[found["id"]], side, str(len(stances)), *means, jumps or "-"))
-        apart = [found["asymmetry_percent"][figure] for figure in _OF_STANCES]
+            rows.append((names[person["id"]], side, str(len(stances)), *means, jumps or "-"))
+        apart = [person["asymmetry_percent"][figure] for figure in _OF_STANCES]
         cells = ["-" if value is None else f"{value:+.0f} %" for value in apart]
-        rows.append((names[found["id"]], "right less left", "", *cells, ""))
+        rows.append((names[person["id"]], "right less left", "", *cells, ""))
     return rows
 
 

@@ -21,7 +21,7 @@ from pipeline.core.options.edits import edit_document
 from pipeline.core.progress import OnShare
 from pipeline.detection.entries import find_entry
 from pipeline.export.overlay import given_names, people_at
-from pipeline.export.person_files import take_people
+from pipeline.export.person_files import force_figures, take_people
 from pipeline.export.privacy.blur import blur_ellipses
 from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.export.quality.views import PersonViews, person_views, without_fingers
@@ -32,7 +32,6 @@ from pipeline.export.viewer.description import ViewerMotion
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.body.installed import find as find_body
 from pipeline.motion.body.shape import BodyShapes
-from pipeline.motion.forces.person_forces import forces_document
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
@@ -62,8 +61,7 @@ def gather_contents(
     views = person_views(take)
     metrics = quality_report(take, views)
     if "forces" in config.exports:
-        found = ((person.track.track_id, person.forces()) for person in take_people(take, "person", "capsules"))
-        metrics["forces"] = [forces_document(forces, number) for number, forces in found if forces is not None]
+        metrics["forces"] = force_figures(take_people(take, "person", "capsules"))
     pictures: list[Picture] = []
     notes: list[str] = []
     shown = take.cameras[:MAX_PICTURES]

@@ -69,8 +69,9 @@ def find_stances(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> St
             flies[int(np.ceil(move.start_row)) : int(np.floor(move.end_row)) + 1] = True
     for column, side in enumerate(SIDES):
         _step(stands[:, column], [swing for swing in swings if swing.side == side], rate_hz)
-        name = next(mark for mark in (f"{side}_big_toe", f"{side}_ankle") if mark in joints.names)
-        _end_at_rise(stands[:, column], track.xyz_m[:, joints.index(name), 2], rate_hz)
+        marks = [joints.index(name) for name in (f"{side}_big_toe", f"{side}_ankle") if name in joints.names]
+        mark = next((mark for mark in marks if np.isfinite(track.xyz_m[:, mark]).any()), marks[-1])
+        _end_at_rise(stands[:, column], track.xyz_m[:, mark, 2], rate_hz)
     strikes = [swing.strike.row for swing in swings if swing.strike is not None]
     for start, stop in find_runs(np.asarray(~stands.any(1))):
         # A gap between contacts is a flight if a foot strikes at its end.

@@ -214,13 +214,16 @@ def forces_document(forces: PersonForces, track_id: int) -> dict[str, Any]:
     for column, side in enumerate(SIDES):
         vertical = forces.feet.force[:, column, 2] / weight
         for start, stop in find_runs(np.asarray(forces.feet.stands[:, column])):
-            rows = vertical[start:stop]
             is_whole = start > 0 and stop < len(vertical) and stop - start >= _STANCE_S * forces.frame_rate_hz
-            if not is_whole or not np.isfinite(rows).all():
+            # Next to frames in which the force is unknown, a stance is not whole.
+            if not is_whole or not np.isfinite(vertical[start - 1 : stop + 1]).all():
                 continue
+            rows = vertical[start:stop]
             peak = int(rows.argmax())
-            first = rows[: _first_peak(rows) + 1]
+            # The frame before has no force: a force that rises within a frame has the rate of this frame.
+            first = vertical[start - 1 : start + _first_peak(rows) + 1]
             low, high = (int((first >= share * first.max()).argmax()) for share in _RISE)
+            low = max(min(low, high - 1), 0)
             rising_s = max(high - low, 1) / forces.frame_rate_hz
             stances.append(
                 {
@@ -263,7 +266,7 @@ def _first_peak(rows: Float[np.ndarray, " rows"]) -> int:
 def _asymmetry(sides: Any) -> float | None:
     """Difference of right and left over their mean, in percent (Robinson et al. 1987); ``None`` without both."""
     left, right = (float(np.mean(values)) if values else np.nan for values in sides)
-    return round(200.0 * (right - left) / (right + left), 1) if np.isfinite(left + right) else None
+    return round(200.0 * (right - left) / (right + left), 1) if right + left > 0.0 else None
 
 
 def _rounded(value: float | None) -> float | None:

@@ -133,8 +133,8 @@ def likeliest(
     grid = least + np.arange(0.0, _LOG_RANGE, 1.5)
     best = grid[np.argmin([noise(log)[1] for log in grid])]
     bounds = max(best - 1.5, least), best + 1.5
-    found = minimize_scalar(lambda log: noise(log)[1], bounds=bounds, method="bounded", options={"xatol": 0.02})
-    return PathSmoother(known, float(np.exp(found.x)), frame_rate_hz), float(np.sqrt(noise(found.x)[0] / num_free))
+    optimum = minimize_scalar(lambda log: noise(log)[1], bounds=bounds, method="bounded", options={"xatol": 0.02})
+    return PathSmoother(known, float(np.exp(optimum.x)), frame_rate_hz), float(np.sqrt(noise(optimum.x)[0] / num_free))
 
 
 def _bands(known: Bool[np.ndarray, " frames"], penalty: float) -> Float[np.ndarray, "4 frames"]:

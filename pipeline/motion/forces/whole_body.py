@@ -82,8 +82,7 @@ def body_in_motion(
     ``flies``: frames in which the body surely touches nothing. ``None`` if joints of the body are
     missing, or the track is too short.
     """
-    masses, other = (segment_masses(subject._replace(table=table), joints) for table in _tables(subject))
-    if masses is None or other is None or track.num_frames < _MIN_FRAMES:
+    if not {*_EARS} <= {*joints.names} or track.num_frames < _MIN_FRAMES:
         return None
     xyz_m = np.array(track.xyz_m, dtype=float)
     ears = joints.indices(_EARS)
@@ -91,6 +90,9 @@ def body_in_motion(
         # A head without marks is where the skeleton has it.
         skeleton_m = forward_kinematics(motion)
         xyz_m[:, ears] = skeleton_m[:, [INDEX["Head"], INDEX["HeadEnd"]]].mean(1)[:, None]
+    masses, other = (segment_masses(subject._replace(table=table), joints, xyz_m) for table in _tables(subject))
+    if masses is None or other is None:
+        return None
     used = (masses.weights != 0) | (masses.axis != 0).any(0)
     known = np.isfinite(xyz_m[:, masses.weights != 0]).all((1, 2))
     filled_m = filled_with_body(xyz_m[:, used])

@@ -1,6 +1,7 @@
 """Files of forces: CSV, and external loads that OpenSim applies to feet."""
 
 import csv
+import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -27,6 +28,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     session = SessionMaker.from_points(points_m, ACT.joints.names, ACT.rate_hz, "m")
     for name, mass_kg in (("massive", MASS_KG), ("unknown", None)):
         reconstruct_to_files(session, path / name, ReconstructionConfig(exports=("forces",), mass_kg=mass_kg))
+    slow = ReconstructionConfig(exports=("forces",), mass_kg=MASS_KG, output_rate_hz=ACT.rate_hz / 2)
+    reconstruct_to_files(session, path / "slow", slow)
     return path
 
 
@@ -74,6 +77,13 @@ def test_setup_applies_each_force_to_its_foot(folder: Path) -> None:
     bodies = {force.get("name"): force.findtext("applied_to_body") for force in root.iter("ExternalForce")}
     assert bodies == {"left": "calcn_l", "right": "calcn_r"}
     assert root.findtext("ExternalLoads/datafile") == "person-1.forces.mot"
+
+
+def test_figures_are_of_the_session_at_any_rate_of_files(folder: Path) -> None:
+    own, slow = (json.loads((folder / name / "metrics.json").read_text()) for name in ("massive", "slow"))
+    assert len(rows_of(folder / "slow" / "person-1.forces.csv")) == 75
+    assert own["forces"]
+    assert slow["forces"] == own["forces"]
 
 
 def test_metrics_have_figures_of_forces(folder: Path) -> None:

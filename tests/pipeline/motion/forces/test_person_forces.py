@@ -103,6 +103,20 @@ def test_people_without_heels_and_toes_have_forces() -> None:
     assert np.median(forces.total[:, 2]) == pytest.approx(GRAVITY_M_S2, rel=0.02)
 
 
+def test_person_beside_others_may_lack_heels_and_toes() -> None:
+    animation, of_feet = (
+        solved(SQUAT),
+        [k for k, name in enumerate(SQUAT.joints.names) if "heel" in name or "toe" in name],
+    )
+    xyz_m = np.array(animation.tracks[0].xyz_m)
+    xyz_m[:, of_feet] = np.nan
+    track = replace(animation.tracks[0], xyz_m=xyz_m)
+    forces = forces_of(animation.motions[0], track, SQUAT.joints, Subject(), animation.floor)
+    assert forces is not None
+    assert np.median(forces.total[:, 2]) == pytest.approx(GRAVITY_M_S2, rel=0.02)
+    np.testing.assert_allclose(forces.feet.force.sum(1)[50:-50], forces.total[50:-50], atol=1e-6)
+
+
 def test_short_track_has_no_forces() -> None:
     animation = solved(SQUAT)
     motion, track = animation.motions[0], animation.tracks[0].part(slice(0, 8))
@@ -159,6 +173,36 @@ def test_document_has_stances_and_jumps() -> None:
     assert len(of_jump["jumps"]) == len(heights_m)
     for jump, height_m in zip(of_jump["jumps"], heights_m, strict=True):
         assert jump["by_impulse_m"] == pytest.approx(height_m, abs=0.04)
+
+
+def stepping(*stances: tuple[int, int, int]) -> PersonForces:
+    """Forces of a person whose feet carry all at once: foot, first frame and end of each stance."""
+    forces = estimated(WALK)
+    stands, force = np.zeros_like(forces.feet.stands), np.zeros_like(forces.feet.force)
+    for foot, start, stop in stances:
+        stands[start:stop, foot], force[start:stop, foot, 2] = True, GRAVITY_M_S2
+    return replace(forces, feet=replace(forces.feet, stands=stands, force=force))
+
+
+def test_force_that_rises_within_a_frame_has_its_rate() -> None:
+    document = forces_document(stepping((0, 50, 80), (1, 90, 120)), 1)
+    assert [stance["loading_rate_bw_s"] for stance in document["stances"]] == [WALK.rate_hz, WALK.rate_hz]
+    assert document["asymmetry_percent"] == {"impulse_bw_s": 0.0, "peak_bw": 0.0, "loading_rate_bw_s": 0.0}
+
+
+def test_feet_without_force_have_no_asymmetry() -> None:
+    forces = stepping((0, 50, 80), (1, 90, 120))
+    document = forces_document(replace(forces, feet=replace(forces.feet, force=0.0 * forces.feet.force)), 1)
+    assert set(document["asymmetry_percent"].values()) == {None}
+
+
+@pytest.mark.parametrize("unknown", [49, 60, 80])
+def test_stance_beside_unknown_frames_is_not_whole(unknown: int) -> None:
+    forces = stepping((0, 50, 80), (1, 90, 120))
+    force = forces.feet.force.copy()
+    force[unknown] = np.nan
+    document = forces_document(replace(forces, feet=replace(forces.feet, force=force)), 1)
+    assert [stance["start_frame"] for stance in document["stances"]] == [forces.start_frame + 90]
 
 
 @pytest.mark.accuracy
