@@ -159,16 +159,20 @@ def open_points(
         With all problems of all files.
     """
     problems = [] if files else [Problem(INVALID_VALUE, "There are no files of 3D points.", field="files")]
-    tables = []
+    names, tables, still = _known_names(joint_of or {}), [], None
+    try:
+        still = None if static is None else read_table(Path(static))[0]
+    except InputError as error:
+        problems += error.problems
     for file in map(Path, files):
         try:
             table, form = read_table(file)
-            if static is not None:
-                table = with_static_joints(table, read_table(Path(static))[0], joint_of or {})
+            if still is not None:
+                table = with_static_joints(table, still, names, units)
             tables.append((file.name, form, table))
         except InputError as error:
             problems += error.problems
-    return session_of_tables(tables, frame_rate_hz, units, up, _known_names(joint_of or {}), problems)
+    return session_of_tables(tables, frame_rate_hz, units, up, names, problems)
 
 
 class SessionMaker:

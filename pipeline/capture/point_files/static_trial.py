@@ -8,16 +8,17 @@ carried along by the nearest segment of three markers or more: its pose is the r
 """
 
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
+from scipy.spatial.distance import pdist
 
 from pipeline.capture.point_files.point_names import OWN_NAMES, find_joints
 from pipeline.capture.point_files.point_reader import PointTable
 from pipeline.core.errors import InputError, Problem
-from pipeline.core.options.job_choices import UNITS_M
+from pipeline.core.options.job_choices import UNITS_M, Units
 from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT
 
 # Root mean square change of distances on a segment, by skin that moves over bones (Leardini et al., "Human movement
@@ -26,18 +27,23 @@ from pipeline.core.problems.session_codes import KEYPOINTS_LAYOUT
 _SKIN_M, _LEAST_MARKERS, _LEAST_SPREAD_M = 0.01, 3, 0.015
 # Least number of frames, all over a longer movement, in which distances of markers are compared.
 _COMPARED_FRAMES = 500
-_UNITS_M = {str(unit): unit_m for unit, unit_m in UNITS_M.items()}
 # Joints that follow from the pelvis in each trial.
 _OF_PELVIS = ("left_hip", "right_hip")
 
 
-def with_static_joints(table: PointTable, static: PointTable, joint_of: Mapping[str, str]) -> PointTable:
+def with_static_joints(
+    table: PointTable, static: PointTable, joint_of: Mapping[str, str], units: Units | None = None
+) -> PointTable:
     """Points of a movement, and the joints that a static trial of the same markers defines, named as our joints.
 
-    Raises ``InputError`` if the files share too few markers, or the static trial defines no joint beyond theirs.
+    ``units``: unit of both files; ``None``: each states its own. Raises ``InputError`` if a unit is unknown, the files
+    share too few markers, or the static trial defines no joint beyond theirs.
     """
+    if any((units or of.unit) not in UNITS_M for of in (table, static)):
+        message = "The movement and its static trial must state their unit, or have one that you state."
+        raise InputError([Problem(KEYPOINTS_LAYOUT, message, field="units", hint="State the unit of both.")])
     shared = [name for name in table.names if table.names.count(name) == static.names.count(name) == 1]
-    own_m, static_m = (_UNITS_M.get(of.unit or "m", 1.0) for of in (table, static))
+    own_m, static_m = (UNITS_M[cast(Units, units or of.unit)] for of in (table, static))
     moving_m = table.xyz[:, [table.names.index(name) for name in shared]] * own_m
     still_m = _median(static.xyz[:, [static.names.index(name) for name in shared]]) * static_m
     segments = _segments(moving_m, still_m)
@@ -80,13 +86,15 @@ def _segments(
     usable = np.flatnonzero(np.isfinite(still_m).all(-1) & np.isfinite(moving_m).all(-1).any(0))
     if len(usable) < _LEAST_MARKERS:
         return []
-    apart_m = np.linalg.norm(moving_m[:, usable, None] - moving_m[:, None, usable], axis=-1)
-    change_m = apart_m - np.linalg.norm(still_m[usable, None] - still_m[None, usable], axis=-1)
-    known = np.isfinite(change_m)
-    mean_m2 = np.where(known, change_m**2, 0.0).sum(0) / np.maximum(known.sum(0), 1)
-    distance_m = np.where(known.any(0), np.sqrt(mean_m2), 1.0)
-    np.fill_diagonal(distance_m, 0.0)
-    labels = fcluster(linkage(squareform(distance_m, checks=False), "complete"), _SKIN_M, "distance")
+    still_apart_m = pdist(still_m[usable])
+    summed_m2, num_known = np.zeros_like(still_apart_m), np.zeros(len(still_apart_m), int)
+    for frame_m in moving_m[:, usable]:
+        change_m2 = (pdist(frame_m) - still_apart_m) ** 2
+        known = np.isfinite(change_m2)
+        summed_m2[known] += change_m2[known]
+        num_known += known
+    distance_m = np.where(num_known > 0, np.sqrt(summed_m2 / np.maximum(num_known, 1)), 1.0)
+    labels = fcluster(linkage(distance_m, "complete"), _SKIN_M, "distance")
     groups = [usable[labels == label] for label in np.unique(labels)]
     return [
         rows

@@ -67,6 +67,29 @@ def test_static_trial_without_more_joints_is_refused() -> None:
     assert raised.value.problems[0].field == "static"
 
 
+def test_stated_unit_is_the_unit_of_both_files() -> None:
+    table, static, expected_m = tables()
+    table, static = replace(table, xyz=10.0 * table.xyz, unit=None), replace(static, unit=None)
+    found = with_static_joints(table, static, {}, "mm")
+    np.testing.assert_allclose(found.xyz[:, found.names.index("right_knee")] / 1000.0, expected_m, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [None, "furlong"])
+def test_static_trial_of_unknown_unit_is_refused(unit: str | None) -> None:
+    table, static, _ = tables()
+    with pytest.raises(InputError) as raised:
+        with_static_joints(table, replace(static, unit=unit), {})
+    assert raised.value.problems[0].field == "units"
+
+
+def test_damaged_static_file_is_one_problem_of_many_files(tmp_path: Path) -> None:
+    (tmp_path / "static.trc").write_text("nothing")
+    (tmp_path / "walk.trc").write_text("nothing")
+    with pytest.raises(InputError) as raised:
+        Session.from_files([tmp_path / "walk.trc"] * 2, static=tmp_path / "static.trc")
+    assert [problem.file for problem in raised.value.problems] == ["static.trc", "walk.trc", "walk.trc"]
+
+
 def test_trc_with_uneven_tabs_has_its_unit(tmp_path: Path) -> None:
     lines = ["PathFileType\t4\t(X/Y/Z)\ta.trc", "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits"]
     lines += [
