@@ -43,7 +43,6 @@ class OutputStatus:
 
     def fail(self, error: Exception) -> None:
         """Count an instant that could not be sent, and take the reason."""
-        self.failed += 1
         self.state, self.message = "failed", str(error)
         if isinstance(error, ConnectionRefusedError):
             self.state, self.message = "no receiver", None
@@ -51,6 +50,7 @@ class OutputStatus:
             self.message = error.strerror or str(error)
         else:  # a fault of ours, which must neither end the capture nor stay silent
             self.message = f"internal error, {type(error).__name__}: {error}"
+        self.failed += 1
 
 
 class _NewestInstants:
