@@ -355,6 +355,10 @@ class MulticapReceive(_FreeOperator):
         else:
             live.start([getattr(state, f"live_{number + 1}") for number in range(state.live_people)], state.live_port)
 
+    @classmethod
+    def poll(cls, context: Any) -> bool:
+        return panel_state(context).is_receiving or super().poll(context)
+
 
 class MulticapRecord(_FreeOperator):
     """Record the people who are received as actions of their armatures, or end the take that is recorded"""

@@ -7,6 +7,7 @@ here until it ends: what is undone in the scene meanwhile loses none of them.
 import socket
 import time
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import bpy
@@ -123,6 +124,7 @@ class LiveReceiver:
     def __init__(self) -> None:
         self.performers: list[_Performer] = []
         self.take: LiveTake | None = None
+        self._ending: Iterator[float] = iter(())  # Steps that end a take
         self._is_moving = False
 
     def start(self, names: Sequence[str], port: int) -> None:
@@ -157,7 +159,7 @@ class LiveReceiver:
 
     def stop(self) -> None:
         """Stop receiving. A take ends, and is kept."""
-        for _ in self._ended_take():
+        for _ in chain(self._ending, self._ended_take()):
             pass
         self._close()
         panel_state().is_receiving = False
@@ -187,7 +189,8 @@ class LiveReceiver:
     def record(self, name: str) -> None:
         """Begin a take, or end the one that runs."""
         if self.take is not None:
-            do_steps(self._ended_take())
+            self._ending = self._ended_take()
+            do_steps(self._ending)
             return
         number = 1
         while any(action.name.startswith(f"{name} {number} ") for action in bpy.data.actions):

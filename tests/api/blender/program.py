@@ -228,7 +228,7 @@ class PanelUser:
         """Receive people and record a take of them; return the message, and poses of the actions at their frames.
 
         ``middle``: what happens in the middle of the take, ``undo`` or an armature that is removed. ``ends``: button
-        that ends the take.
+        that ends the take, or several that are pressed at once.
         """
         live = sys.modules[f"{NAME}.receiver"].live
         self.panel.live_people = num_people
@@ -246,7 +246,10 @@ class PanelUser:
         elif middle:
             bpy.data.objects.remove(bpy.data.objects[middle])
         self._step(live, seconds / 2)
-        ended = self.press(ends)
+        *first, last = ends.split()
+        for button in first:
+            getattr(bpy.ops.multicap, button)()
+        ended = self.press(last)
         if self.panel.is_receiving:
             bpy.ops.multicap.receive()
         scene, poses = bpy.context.scene, {}

@@ -505,7 +505,8 @@ PATTERN = pattern_instants(4)
 
 
 @pytest.mark.parametrize(
-    ("middle", "ends"), [("", "record"), ("", "receive"), ("undo", "record"), ("Armature", "record")]
+    ("middle", "ends"),
+    [("", "record"), ("", "receive"), ("", "record receive"), ("undo", "record"), ("Armature", "record")],
 )
 def test_take_of_four_people_with_fingers(
     middle: str, ends: str, live: Live, blender: Callable[..., list[Any]], tmp_path: Path
