@@ -98,12 +98,33 @@ class PlacedRig:
 
 
 def place_by_points(cameras: Sequence[Camera], points: Sequence[KnownPoint], keeps_scale: bool) -> PlacedRig:
-    """Move cameras as a whole into the world of known points (Umeyama 1991), in metres, and say what is doubtful.
+    """Move cameras as a whole into the world of known points.
 
-    - ``points``: world coordinates in metres, and the pixels that cameras see.
-    - ``keeps_scale``: the size of the rig is known, by a board; else the points state it.
-    - Raises ``InputError``: if fewer than three points are seen by two cameras, are on a line, or don't fit.
+    Parameters
+    ----------
+    cameras
+        Cameras of a rig in any world.
+    points
+        World coordinates in metres, and the pixels that cameras see.
+    keeps_scale
+        Whether the size of the rig is known, by a board; else the points state it.
 
+    Returns
+    -------
+    PlacedRig
+        Cameras in the world of the points, in metres, and what is doubtful.
+
+    Raises
+    ------
+    InputError
+        If fewer than three points are seen by two cameras, if they are on a line, or if they don't fit.
+
+    References
+    ----------
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns" (1991).
+
+    Examples
+    --------
     >>> from pipeline.validation.simulation.rigs import Layout, Rig, build_cameras
     >>> cameras = build_cameras(Rig(Layout.RING, 3, (3.0, 2.5), 2.0), np.random.default_rng(0))
     >>> points_m = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.2], [0.0, 0.5, 1.1], [0.2, 0.3, 1.4]])

@@ -124,6 +124,12 @@ def test_short_track_has_no_forces() -> None:
     assert forces_of(short, track, SQUAT.joints, Subject(), animation.floor) is None
 
 
+def test_slow_frames_have_no_forces() -> None:
+    solved_walk = solved(WALK)
+    track, motion = solved_walk.tracks[0], replace(solved_walk.motions[0], frame_rate_hz=1.0)
+    assert forces_of(motion, track, WALK.joints, Subject(), None) is None
+
+
 def test_gap_of_all_joints_is_unknown() -> None:
     animation = solved(SQUAT)
     xyz_m = np.array(animation.tracks[0].xyz_m)

@@ -17,8 +17,8 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.problems.finding_codes import STREAM_REFUSED, STREAM_SILENT
 from pipeline.core.problems.session_codes import SIZE_MISMATCH
 from pipeline.detection.appearance import NUM_BINS, PARTS
+from pipeline.run.live.cameras import detector_pool, offsets
 from pipeline.run.live.cameras import feed as feeds
-from pipeline.run.live.cameras import offsets
 from pipeline.run.live.cameras import run as runs
 from pipeline.run.live.cameras.detector_pool import DetectedBodies, DetectionJob
 from pipeline.run.live.cameras.feed import FrameDecoded
@@ -104,8 +104,8 @@ def play(
         return DetectedBodies(points_px, detections.score[rows], colour, np.full(rows.sum(), 30.0), detection_s)
 
     monkeypatch.setattr(runs, "verify", lambda name: None)
-    monkeypatch.setattr(runs, "num_processes", lambda num_cameras: 1)
-    monkeypatch.setattr(runs, "detect_bodies", detect)
+    monkeypatch.setattr(detector_pool, "num_processes", lambda num_cameras: 1)
+    monkeypatch.setattr(detector_pool, "detect_bodies", detect)
     sources = [CameraSource(camera.name, "file", str(clip)) for camera, clip in zip(room.cameras, clips, strict=True)]
     seen = Seen()
     run = CameraRun(room.cameras, sources, choices, seen, sync_s)
