@@ -106,7 +106,7 @@ def show_list(
 ) -> None:
     """Print items as a table, or as one JSON object.
 
-    ``name`` is the field of the JSON object, and ``names`` are those of an item; ``cells`` make its cells, by heading.
+    ``name`` is the field of the JSON object, ``names`` are the fields of an item; ``cells`` make its cells, by heading.
     """
     if as_json:
         emit({name: [document(item, names) for item in items]})

@@ -72,7 +72,7 @@ class Recording:
     frame_rate_hz
         Frame rate, if the timestamps of the video are wrong; ``None``: the timestamps are right.
     more_files
-        Names or paths of further files in which the recording of ``file`` goes on, in order.
+        Names or paths of further files in which the recording of ``file`` continues, in order.
     offset_std_s
         Standard deviation of the offset; ``None``: nothing is known of it.
 

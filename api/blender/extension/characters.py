@@ -110,7 +110,7 @@ def put_on(armature: Any, motion: PersonMotion, name: str, first_frame: int = 0)
         places.extend(pose.hips)
         if number % _FRAMES_A_STEP == 0:
             yield number / motion.num_frames
-    # What is undone meanwhile makes all objects of Blender other ones.
+    # An undo meanwhile replaces all objects of Blender: the armature is found by its name again.
     armature = find_armature(armature_name)
     if armature is None:
         raise RequestError(f"The armature {armature_name} is no longer there.")

@@ -255,7 +255,7 @@ def _copy_footage(services: Services, records: TenantRecords, session_id: str, p
 
 
 _Checked = TypeVar("_Checked")
-# What is sent, as ids of operations have it, by the bodies that they take.
+# Nouns in the ids of operations, by the bodies that they take.
 _WAYS = (
     ("", form_kinds.EITHER_TYPE, ""),
     ("Files", (form_kinds.FORM_TYPE,), "Takes a form with the files alone"),

@@ -147,7 +147,7 @@ def split(body: BodyInMotion, stances: Stances, joints: JointSet, floor: Floor |
     along = ((total_m - pressure_m[:, 0])[:, :2] * gap_m).sum(1) / np.maximum((gap_m**2).sum(1), 1e-4)
     right = np.where(both, np.clip(along, 0.0, 1.0), stands[:, 1])
     share = np.stack([np.where(both, 1.0 - right, stands[:, 0]), right], axis=1)
-    # What the places along the line between both do not explain moves both places, within the soles.
+    # A rest beside the line between both places moves both, within the soles.
     rest_m = total_m - (share[..., None] * pressure_m).sum(1)
     moved_m = pressure_m + np.where(both[:, None], rest_m, 0.0)[:, None]
     moved = np.stack([_on_foot(moved_m[:, k], heels_m[:, k], toes_m[:, k]) for k in range(2)], axis=1)

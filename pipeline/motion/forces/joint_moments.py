@@ -3,7 +3,7 @@
 The moment that moves the segments beyond a joint is the moment of their inertia and weight, less the moment of the
 ground's force on the foot (Winter, "Biomechanics and Motor Control of Human Movement", 2009, chapter 5). Its parts are
 about the axes of the joint's angles: the moment of ``knee_flexion`` is positive if it bends the knee. They are then the
-generalised forces of the angles, like those of OpenSim's inverse dynamics.
+generalised forces of the angles, as OpenSim's inverse dynamics computes them.
 """
 
 from dataclasses import dataclass

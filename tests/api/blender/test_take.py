@@ -1,4 +1,4 @@
-"""Frames of a take lie at the times of the sender, and lose nobody."""
+"""Frames of a take lie at the times of the sender, and have all people."""
 
 import math
 

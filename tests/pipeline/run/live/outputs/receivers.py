@@ -11,6 +11,7 @@ import socket
 import struct
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -68,7 +69,7 @@ def differences(pose: ReceivedPose, person: LivePerson, marks: Sequence[str]) ->
     return 1e3 * float(np.nanmax(np.linalg.norm(got_m - expected_m, axis=-1))), worst_deg
 
 
-class OutputReceiver:
+class OutputReceiver(ABC):
     """Receiver of a protocol in a ``with`` block; ``read`` gives the next instant as it comes, ``decode`` its poses."""
 
     def __init__(self, address: str) -> None:
@@ -81,12 +82,12 @@ class OutputReceiver:
     def __exit__(self, *_: object) -> None:
         self._opened.close()
 
-    def connect(self) -> None:
+    def connect(self) -> None:  # noqa: B027 - receivers of datagrams are not connected
         """Connect, while instants are sent."""
 
+    @abstractmethod
     def read(self, timeout_s: float = WAIT_S) -> Any:
         """Read the next instant; raises ``TimeoutError``."""
-        raise NotImplementedError
 
     def drain(self) -> None:
         """Read what has come."""
@@ -94,9 +95,9 @@ class OutputReceiver:
             while True:
                 self.read(0.3)
 
+    @abstractmethod
     def decode(self, content: Any) -> list[ReceivedPose]:
         """Poses of the people, in the order of their places."""
-        raise NotImplementedError
 
 
 class DatagramReceiver(OutputReceiver):
@@ -270,7 +271,8 @@ class LslReceiver(OutputReceiver):
                 (info,) = pylsl.resolve_byprop("name", f"{self._name}-{slot}-{stream}", timeout=WAIT_S)
                 inlet = pylsl.StreamInlet(info, max_buflen=10)
                 inlet.open_stream(WAIT_S)
-                channel, labels = inlet.info(WAIT_S).desc().child("channels").child("channel"), []
+                described = inlet.info(WAIT_S)  # Its elements live as long as it does.
+                channel, labels = described.desc().child("channels").child("channel"), []
                 while not channel.empty():
                     labels.append(channel.child_value("label"))
                     channel = channel.next_sibling()
