@@ -67,9 +67,10 @@ def on_post_build(config: Any) -> None:
         text = page.read_text(encoding="utf-8")
         title, _, rest = text.partition("\n")
         path = page.relative_to(docs)
-        if page.stem in topics and page.stem != "index":
-            raise ValueError(f"Two pages have the name {page.stem}: rename {path}.")
-        topics[page.stem] = {
+        topic = "-".join(path.with_suffix("").parts[1:]) or page.stem
+        if topic in topics and topic != "index":
+            raise ValueError(f"Two pages are the topic {topic}: rename {path}.")
+        topics[topic] = {
             "about": " ".join(rest.strip().partition("\n\n")[0].split()),
             "page": path.with_suffix(".html").as_posix(),
             "title": title.removeprefix("# "),
