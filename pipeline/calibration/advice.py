@@ -27,6 +27,7 @@ _OTHERS: Mapping[str, tuple[str, str]] = {
     ".npy": ("a file of NumPy", _AS_OPENCV),
     ".h5": ("an HDF5 file", _AS_OPENCV),
     ".csv": ("a table", _AS_OPENCV),
+    ".txt": ("a text", "From COLMAP, send a zip of cameras.txt and images.txt."),
     ".c3d": ("a file of markers", "Export the calibration of the cameras from the same program."),
     ".qtm": ("a measurement of Qualisys", "Export its calibration: File, Export, or the .qca.txt of the calibration."),
     ".x2d": ("a capture of Vicon", "Send the .xcp file beside it."),

@@ -159,8 +159,8 @@ def _in_metres(path: Path, units: Units | None) -> CameraFile:
         count = len(contents.unposed)
         message = f"The file has the intrinsics of {count} camera{'s' * (count != 1)} and no rotation or translation."
         hint = (
-            "Send the file that has the extrinsics, too; or make a calibration from a board or from people, which "
-            "takes these intrinsics as they are."
+            "Pack this file and the one with the extrinsics into one zip; or make a calibration from a board or from "
+            "people, which takes these intrinsics as they are."
         )
         raise _refusal(path, CALIBRATION_UNPOSED, message, hint)
     if contents.unit is not None:
@@ -182,6 +182,9 @@ def _refusal(path: Path, code: Code, message: str, hint: str | None = None) -> I
 def _read(path: Path) -> CameraFile:
     """Contents of a file, in its unit if the format does not determine one."""
     try:
+        if path.is_dir():
+            message = "This is a folder, not a calibration file."
+            raise _refusal(path, session_codes.CALIBRATION_FORMAT, message, "Name the file; pack several files into one zip.")
         if not path.is_file():
             raise _refusal(path, session_codes.CALIBRATION_MISSING, "The calibration file does not exist.")
         num_bytes = path.stat().st_size

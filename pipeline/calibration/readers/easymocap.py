@@ -16,14 +16,16 @@ from pipeline.calibration.contents import CameraFile
 from pipeline.calibration.readers.fields import read_camera
 from pipeline.calibration.reading import Reading
 from pipeline.calibration.validate import MAX_CAMERAS
+from pipeline.core.errors import InputError, Problem
+from pipeline.core.problems.session_codes import CALIBRATION_EMPTY
 
 # Starts of the keys whose values name a camera.
 _STARTS = ("K_", "R_", "Rot_", "T_")
 
 
 def is_rig(fields: Mapping[str, Any]) -> bool:
-    """Return whether a mapping has a matrix ``K_name``."""
-    return any(key.startswith("K_") and isinstance(value, list) for key, value in fields.items())
+    """Return whether a mapping has a matrix ``K_name`` or ``Rot_name``."""
+    return any(key.startswith(("K_", "Rot_")) and isinstance(value, list) for key, value in fields.items())
 
 
 def read(fields: Mapping[str, Any], file: str) -> CameraFile:
@@ -36,6 +38,10 @@ def read(fields: Mapping[str, Any], file: str) -> CameraFile:
         for start in _STARTS
         if key.startswith(start) and isinstance(value, list)
     )
+    if not any(key.startswith("K_") for key in fields):
+        message = f"The file has the extrinsics of {len(names)} cameras and no camera matrix."
+        hint = "Pack this file and the one with the intrinsics (intri.yml) into one zip."
+        raise InputError([Problem(CALIBRATION_EMPTY, message, file=file, hint=hint)])
     by_camera: dict[str, dict[str, Any]] = {name: {} for name in islice(names, MAX_CAMERAS + 1)}
     beside: dict[str, Any] = {}
     # A name may end as another one does: `K_cam_1` is of `cam_1`, not of `1`.

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_contents, read_intrinsics
+from pipeline.core.errors import InputError
 from tests.pipeline.calibration.readers.filestorage import write_storage
 from tests.pipeline.calibration.readers.rigs import RIG, assert_rig, camera, problems_of
 
@@ -103,3 +104,14 @@ def test_more_extrinsics_than_intrinsics(tmp_path: Path) -> None:
     contents = read_contents(write(tmp_path, "zip", intri, extri))
     assert contents.notes == ("rig.zip: camera third is left out: no camera matrix in the file.",)
     assert_rig(contents)
+
+
+def test_extrinsics_alone_ask_for_the_intrinsics(tmp_path: Path) -> None:
+    path = write_storage(tmp_path / "extri.yml", easymocap(with_sizes=False)[1])
+    with pytest.raises(InputError, match=r"extrinsics of 2 cameras and no camera matrix.*intri\.yml.*zip"):
+        read_contents(path)
+
+
+def test_folder_of_calibration_files_asks_for_a_zip(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="folder.*zip"):
+        read_contents(tmp_path)
