@@ -184,7 +184,9 @@ def _read(path: Path) -> CameraFile:
     try:
         if path.is_dir():
             message = "This is a folder, not a calibration file."
-            raise _refusal(path, session_codes.CALIBRATION_FORMAT, message, "Name the file; pack several files into one zip.")
+            raise _refusal(
+                path, session_codes.CALIBRATION_FORMAT, message, "Name the file; pack several files into one zip."
+            )
         if not path.is_file():
             raise _refusal(path, session_codes.CALIBRATION_MISSING, "The calibration file does not exist.")
         num_bytes = path.stat().st_size
