@@ -304,12 +304,12 @@ def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[byt
 
 
 def _loads(person: person_files.PersonOfTake, folder: Path) -> Iterator[tuple[Path, list[bytes]]]:
-    """Path and content of the files with external loads for OpenSim; none of a person whose mass is unknown."""
+    """Path and content of the files with external loads for OpenSim."""
     forces = person.forces()
-    if forces is not None and forces.mass_kg is not None:
+    if forces is not None:
         path = folder / f"person-{person.track.track_id}.forces.mot"
         yield path, list(force_tables.external_loads(forces, person.timebase, person.frames, path.name))
-        yield path.with_suffix(".xml"), [force_tables.external_loads_setup(path.name)]
+        yield path.with_suffix(".xml"), [force_tables.external_loads_setup(path.name, forces.mass)]
 
 
 def _object_files(

@@ -124,7 +124,7 @@ def moments(path: Path, own: PersonForces, time_s: np.ndarray, mass_kg: float) -
         for side in SIDES:
             theirs = np.interp(time_s, values[:, 0], values[:, names.index(f"{coordinate}{side[0]}_moment")])
             theirs = sign * theirs / mass_kg
-            ours = own.joints.moment[:, MOMENT_NAMES.index(f"{side}_{name}")] / mass_kg
+            ours = own.joints.moment[:, MOMENT_NAMES.index(f"{side}_{name}")]
             apart = np.sqrt(((ours - theirs) ** 2).mean())
             ends = [f"{ours.max():.2f} ({theirs.max():.2f})", f"{ours.min():.2f} ({theirs.min():.2f})"]
             rows.append([f"{side} {name}", *ends, f"{apart:.2f}"])

@@ -124,7 +124,7 @@ Export = (
             _CSV,
             "forces",
             ".force_tables:CSV",
-            note="With a mass, files for OpenSim's inverse dynamics too.",
+            note="Files for OpenSim's inverse dynamics, too.",
             ending="forces.csv",
             size=FileSize(8_000, 1_300),
         ),

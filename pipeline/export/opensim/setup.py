@@ -16,14 +16,11 @@ from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import fixed, frame_blocks
 from pipeline.export.writers.trc import head
 from pipeline.motion.angles.compute import observed, segments_from
-from pipeline.motion.skeleton.model import INDEX, TRUNK, WHOLE_SKELETON, forward_kinematics
+from pipeline.motion.forces.body_mass import mass_by_stature_kg, stature_m
+from pipeline.motion.skeleton.model import INDEX, TRUNK, forward_kinematics
 
 SMALLEST, LARGEST = 0.25, 3.0
 """Factors of a body outside of which a person's bone can't be right."""
-# Mass in kg over the stature in metres to the power of 2.5: the body mass index 22 of Trefethen's formula,
-# 1.3 mass / stature^2.5 (The Economist, 5 January 2013). It suits children, too: 13 kg for 0.9 m.
-_MASS = 22.0 / 1.3
-_POWER = 2.5
 # Rows that places of markers are the median of.
 _MAX_ROWS = 2000
 
@@ -54,9 +51,9 @@ def model_size(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> Mode
     depth of the torso follow the shoulders. Markers of feet and head stand where the person has them: at their median
     place beside the bone. Masses are by stature, shared among bodies as in the generic model.
     """
-    stature_m = _stature_m(motion)
-    factors = _factors(motion, track, joints, stature_m)
-    return ModelSize(stature_m, _MASS * stature_m**_POWER, factors, _places_m(motion, track, joints, factors))
+    height_m = stature_m(motion)
+    factors = _factors(motion, track, joints, height_m)
+    return ModelSize(height_m, mass_by_stature_kg(height_m), factors, _places_m(motion, track, joints, factors))
 
 
 def _length_m(motion: SkeletonMotion, *names: str) -> float:
@@ -70,12 +67,6 @@ def _of_both(motion: SkeletonMotion, joint: str) -> float:
 
 def _trunk_m(motion: SkeletonMotion) -> float:
     return sum(_length_m(motion, name) for name in TRUNK)
-
-
-def _stature_m(motion: SkeletonMotion) -> float:
-    """Stature by the lengths of thigh, shank and trunk, which are nearly always measured."""
-    share = sum(WHOLE_SKELETON[INDEX[name]].stature_share for name in ("LeftLeg", "LeftFoot", *TRUNK))
-    return (_of_both(motion, "Leg") + _of_both(motion, "Foot") + _trunk_m(motion)) / share
 
 
 def _factors(motion: SkeletonMotion, track: Track3D, joints: JointSet, stature_m: float) -> dict[str, anatomy.Place]:

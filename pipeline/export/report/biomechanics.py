@@ -302,7 +302,7 @@ def balance_rows(people: Sequence[NamedFigures]) -> list[tuple[str, ...]]:
     ]
 
 
-FORCE_COLUMNS = ("Person", "Side", "Stances", "Vertical impulse", "Peak", "Loading rate", "Jumps by impulse")
+FORCE_COLUMNS = ("Person", "Mass", "Side", "Stances", "Vertical impulse", "Peak", "Loading rate", "Jumps by impulse")
 _OF_STANCES = {"impulse_bw_s": "BW s", "peak_bw": "BW", "loading_rate_bw_s": "BW/s"}
 
 
@@ -311,6 +311,8 @@ def force_rows(people: Sequence[NamedFigures], forces: Sequence[Mapping[str, Any
     names = {figures["id"]: name for name, figures in people}
     rows = []
     for person in forces:
+        guess = ", estimated" if person["mass_is_estimated"] else ""
+        mass = f"{person['mass_kg']:.0f} \N{PLUS-MINUS SIGN} {person['mass_sigma_kg']:.0f} kg{guess}"
         jumps = ", ".join(f"{jump['by_impulse_m']:.2f} m" for jump in person["jumps"])
         for side in SIDES:
             stances = [stance for stance in person["stances"] if stance["side"] == side]
@@ -318,10 +320,10 @@ def force_rows(people: Sequence[NamedFigures], forces: Sequence[Mapping[str, Any
                 f"{np.mean([stance[figure] for stance in stances]):.2f} {unit}" if stances else "-"
                 for figure, unit in _OF_STANCES.items()
             ]
-            rows.append((names[person["id"]], side, str(len(stances)), *means, jumps or "-"))
+            rows.append((names[person["id"]], mass, side, str(len(stances)), *means, jumps or "-"))
         apart = [person["asymmetry_percent"][figure] for figure in _OF_STANCES]
         cells = ["-" if value is None else f"{value:+.0f} %" for value in apart]
-        rows.append((names[person["id"]], "right less left", "", *cells, ""))
+        rows.append((names[person["id"]], "", "right less left", "", *cells, ""))
     return rows
 
 

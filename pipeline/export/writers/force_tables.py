@@ -2,7 +2,8 @@
 
 A CSV file has the columns ``frame``, ``time_s``, the force on the body, forces, centres of pressure and free moments of
 the feet, moments of joints with the sign of the joint angles, and powers, with standard deviations (``sigma``). Units
-are N, N m and W, or for each kilogram if the mass is unknown. Cells of unknown values are empty.
+are N, N m and W. If the mass was not stated, these follow from an estimate of it, and the same columns for each
+kilogram are behind them. Cells of unknown values are empty.
 
 External loads are a MOT file of forces, points and torques along OpenSim's axes (Y up), and an XML file that applies
 them to the feet. OpenSim stops without a word at a number that is unknown, and continues forces before and after the
@@ -20,6 +21,7 @@ from pipeline.core.joints import SIDES
 from pipeline.export.timelines import fixed, frame_blocks, unknown_outside
 from pipeline.export.writers.angle_tables import read_csv
 from pipeline.export.writers.registry import Expected, PersonContent, Writer
+from pipeline.motion.forces.body_mass import BodyMass
 from pipeline.motion.forces.joint_moments import MOMENT_NAMES, POWER_NAMES
 from pipeline.motion.forces.person_forces import PersonForces
 
@@ -32,23 +34,32 @@ _BODIES = {"left": "calcn_l", "right": "calcn_r"}
 
 def columns_of(forces: PersonForces) -> dict[str, Float[np.ndarray, " frames"]]:
     """Columns of a CSV file behind frame and time."""
-    of_mass = "" if forces.mass_kg else "_kg"
-    force, moment, power = f"n{of_mass}", f"nm{of_mass}", f"w{of_mass}"
-    columns = {f"force_{axis}_{force}": forces.total[:, k] for k, axis in enumerate(_AXES)}
-    columns |= {f"force_{axis}_sigma_{force}": forces.total_sigma[:, k] for k, axis in enumerate(_AXES)}
-    feet = forces.feet
+    feet, mass = forces.feet, forces.mass
+    columns = {"mass_kg": mass.kg, "mass_sigma_kg": mass.sigma_kg, "mass_is_estimated": float(mass.is_estimated)}
+    of_frames = {name: np.full(len(forces.total), value) for name, value in columns.items()}
+    of_frames |= _loads(forces.in_newtons(), "")
     for number, side in enumerate(SIDES):
-        columns |= {f"{side}_force_{axis}_{force}": feet.force[:, number, k] for k, axis in enumerate(_AXES)}
-        columns |= {f"{side}_force_{axis}_sigma_{force}": feet.sigma[:, number, k] for k, axis in enumerate(_AXES)}
-        columns |= {f"{side}_pressure_{axis}_m": feet.pressure_m[:, number, k] for k, axis in enumerate(_AXES)}
-        columns[f"{side}_pressure_sigma_m"] = feet.pressure_sigma_m[:, number]
-        columns[f"{side}_free_moment_{moment}"] = feet.free_moment[:, number]
-        columns[f"{side}_is_measured"] = feet.measured[:, number].astype(float)
-    joints = forces.joints
+        of_frames |= {f"{side}_pressure_{axis}_m": feet.pressure_m[:, number, k] for k, axis in enumerate(_AXES)}
+        of_frames[f"{side}_pressure_sigma_m"] = feet.pressure_sigma_m[:, number]
+        of_frames[f"{side}_is_measured"] = feet.measured[:, number].astype(float)
+    of_frames |= {"is_flight": forces.flies.astype(float), "may_touch_person": forces.touches.astype(float)}
+    return of_frames | (_loads(forces, "_kg") if mass.is_estimated else {})
+
+
+def _loads(forces: PersonForces, unit: str) -> dict[str, Float[np.ndarray, " frames"]]:
+    """Columns of forces, moments and powers, and their deviations."""
+    force, moment, power = f"n{unit}", f"nm{unit}", f"w{unit}"
+    feet, joints = forces.feet, forces.joints
+    values = [("", forces.total, forces.total_sigma)]
+    values += [(f"{side}_", feet.force[:, k], feet.sigma[:, k]) for k, side in enumerate(SIDES)]
+    columns: dict[str, Float[np.ndarray, " frames"]] = {}
+    for name, of_force, sigma in values:
+        columns |= {f"{name}force_{axis}_{force}": of_force[:, k] for k, axis in enumerate(_AXES)}
+        columns |= {f"{name}force_{axis}_sigma_{force}": sigma[:, k] for k, axis in enumerate(_AXES)}
+    columns |= {f"{side}_free_moment_{moment}": feet.free_moment[:, k] for k, side in enumerate(SIDES)}
     columns |= {f"{name}_{moment}": joints.moment[:, k] for k, name in enumerate(MOMENT_NAMES)}
     columns |= {f"{name}_sigma_{moment}": joints.sigma[:, k] for k, name in enumerate(MOMENT_NAMES)}
-    columns |= {f"{name}_{power}": joints.power[:, k] for k, name in enumerate(POWER_NAMES)}
-    return columns | {"is_flight": forces.flies.astype(float), "may_touch_person": forces.touches.astype(float)}
+    return columns | {f"{name}_{power}": joints.power[:, k] for k, name in enumerate(POWER_NAMES)}
 
 
 def _encode(person: PersonContent) -> Iterator[bytes]:
@@ -83,7 +94,7 @@ CSV = Writer(_encode, lambda path, _: read_csv(path), _expected, frames=_frames)
 
 def external_loads(forces: PersonForces, timebase: Timebase, frames: range, file_name: str) -> Iterator[bytes]:
     """MOT file with the external loads of a person's feet on OpenSim's axes, piece by piece."""
-    feet = forces.feet
+    feet = forces.in_newtons().feet
     torque = np.zeros_like(feet.force)
     torque[..., 2] = feet.free_moment
     parts = [
@@ -101,7 +112,7 @@ def external_loads(forces: PersonForces, timebase: Timebase, frames: range, file
         yield "".join(f"{timebase.time_s(number):.6f}\t{row}\n" for number, row in numbers).encode("ascii")
 
 
-def external_loads_setup(file_name: str) -> bytes:
+def external_loads_setup(file_name: str, mass: BodyMass) -> bytes:
     """XML file that applies the forces of a MOT file to the feet of OpenSim's models."""
     loads = "".join(
         f"""      <ExternalForce name="{side}">
@@ -117,6 +128,7 @@ def external_loads_setup(file_name: str) -> bytes:
         for side in SIDES
     )
     text = f"""<?xml version="1.0" encoding="UTF-8" ?>
+<!-- {str(mass).capitalize()} -->
 <OpenSimDocument Version="40000">
   <ExternalLoads name="forces">
     <objects>

@@ -16,6 +16,7 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.data.reconstruction import Subject
 from pipeline.core.joints import SIDES, JointSet
 from pipeline.motion.balance.compute import GRAVITY_M_S2
+from pipeline.motion.forces.body_mass import BodyMass, body_mass
 from pipeline.motion.forces.feet import FootForces, find_stances, foot_marks, split
 from pipeline.motion.forces.joint_moments import JointMoments, joint_moments
 from pipeline.motion.forces.whole_body import BodyInMotion, body_in_motion
@@ -38,13 +39,14 @@ _LEAST_RATE_HZ = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PersonForces:
-    """Forces of a person in the frames of the track, in newtons and newton metres, or for each kilogram without a mass.
+    """Forces of a person in the frames of the track for each kilogram of the body, or in newtons and newton metres.
 
     All is NaN in frames in which the centre of mass is unknown.
     """
 
     start_frame: int
-    mass_kg: float | None
+    mass: BodyMass
+    unit_kg: float  # Mass whose forces these are: 1, or in newtons the body's
     frame_rate_hz: float
     total: Float[np.ndarray, "frames 3"]  # Force on the body beside gravity
     total_sigma: Float[np.ndarray, "frames 3"]
@@ -64,7 +66,29 @@ class PersonForces:
     @property
     def weight(self) -> float:
         """Weight of the body in the unit of the forces."""
-        return (self.mass_kg or 1.0) * _WEIGHT
+        return self.unit_kg * _WEIGHT
+
+    def in_newtons(self) -> "PersonForces":
+        """Forces of the whole mass, whose deviation is part of all deviations but of measured forces."""
+        kg, share = self.mass.kg, self.mass.sigma_kg / self.mass.kg
+
+        def scaled(values: np.ndarray) -> np.ndarray:
+            return read_only(kg * values)
+
+        def wider(sigma: np.ndarray, values: np.ndarray) -> np.ndarray:
+            return read_only(kg * np.hypot(sigma, share * values))
+
+        feet, joints = self.feet, self.joints
+        sigma = np.where(feet.measured[..., None], kg * feet.sigma, wider(feet.sigma, feet.force))
+        force, free_moment = scaled(feet.force), scaled(feet.free_moment)
+        return replace(
+            self,
+            unit_kg=kg,
+            total=scaled(self.total),
+            total_sigma=wider(self.total_sigma, self.total),
+            feet=replace(feet, force=force, sigma=read_only(sigma), free_moment=free_moment),
+            joints=JointMoments(scaled(joints.moment), wider(joints.sigma, joints.moment), scaled(joints.power)),
+        )
 
 
 def forces_of(
@@ -77,10 +101,11 @@ def forces_of(
     laboratory: Laboratory | None = None,
     timebase: Timebase | None = None,
 ) -> PersonForces | None:
-    """Compute the forces of a person.
+    """Compute the forces of a person for each kilogram of the body.
 
     - ``motion``, ``track``: motion with the contacts of the feet, and final joints in the same frames.
-    - ``subject``: table of segments, sex and mass. ``floor``: floor of the take.
+    - ``subject``: table of segments, sex and mass; without a mass, the stature gives an estimate.
+    - ``floor``: floor of the take.
     - ``others``: other people, who may touch the person.
     - ``laboratory``, ``timebase``: force plates whose clock is known, which replace the estimate at their feet.
 
@@ -98,29 +123,28 @@ def forces_of(
         feet = _with_plates(feet, body, joints, track, laboratory, timebase, subject.mass_kg)
     moments = joint_moments(body, feet, joints)
     raw = 1.0 + body.raw_m_s2[stances.flies, 2] / _WEIGHT
-    factor = subject.mass_kg or 1.0
-    unknown = ~body.known
 
-    def scaled(values: Float[np.ndarray, "frames *columns"]) -> Float[np.ndarray, "frames *columns"]:
-        values = factor * values
-        values[unknown] = np.nan
+    def where_known(values: Float[np.ndarray, "frames *columns"]) -> Float[np.ndarray, "frames *columns"]:
+        values = np.array(values)
+        values[~body.known] = np.nan
         return read_only(values)
 
     heights = tuple(_jump_heights(body, track, joints, motion.frame_rate_hz))
     return PersonForces(
         track.start_frame,
-        subject.mass_kg,
+        body_mass(subject, motion),
+        1.0,
         motion.frame_rate_hz,
-        scaled(body.force),
-        scaled(body.sigma),
+        where_known(body.force),
+        where_known(body.sigma),
         replace(
             feet,
-            force=scaled(feet.force),
-            sigma=scaled(feet.sigma),
-            free_moment=scaled(feet.free_moment),
+            force=where_known(feet.force),
+            sigma=where_known(feet.sigma),
+            free_moment=where_known(feet.free_moment),
             stands=feet.stands & body.known[:, None],
         ),
-        JointMoments(scaled(moments.moment), scaled(moments.sigma), scaled(moments.power)),
+        moments,
         stances.flies,
         float(raw.mean()) if len(raw) else np.nan,
         touching(track, others),
@@ -249,7 +273,9 @@ def forces_document(forces: PersonForces, track_id: int) -> dict[str, Any]:
     }
     return {
         "id": track_id,
-        "mass_kg": forces.mass_kg,
+        "mass_kg": round(forces.mass.kg, 2),
+        "mass_sigma_kg": round(forces.mass.sigma_kg, 2),
+        "mass_is_estimated": forces.mass.is_estimated,
         "sigma_bw": _rounded(np.nanmedian(forces.total_sigma[:, 2]) / weight),
         "flight_residual_bw": _rounded(forces.flight_residual),
         "num_touching_frames": int(forces.touches.sum()),

@@ -140,12 +140,25 @@ def test_forces_are_means_of_stances_and_asymmetry() -> None:
     stance = {"side": "left", "impulse_bw_s": 0.5, "peak_bw": 1.1, "loading_rate_bw_s": 8.0}
     found = {
         "id": 7,
+        "mass_kg": 74.2,
+        "mass_sigma_kg": 12.2,
+        "mass_is_estimated": True,
         "stances": [stance, stance | {"peak_bw": 1.3}],
         "asymmetry_percent": {"impulse_bw_s": 3.2, "peak_bw": None, "loading_rate_bw_s": -10.0},
         "jumps": [{"by_impulse_m": 0.31}, {"by_impulse_m": 0.3}],
     }
+    mass = "74 \N{PLUS-MINUS SIGN} 12 kg, estimated"
     left, right, apart = force_rows([("Ada", {"id": 7})], [found])
-    assert left == ("Ada", "left", "2", "0.50 BW s", "1.20 BW", "8.00 BW/s", "0.31 m, 0.30 m")
-    assert right == ("Ada", "right", "0", "-", "-", "-", "0.31 m, 0.30 m")
-    assert apart == ("Ada", "right less left", "", "+3 %", "-", "-10 %", "")
+    assert left == (
+        "Ada",
+        mass,
+        "left",
+        "2",
+        "0.50 BW s",
+        "1.20 BW",
+        "8.00 BW/s",
+        "0.31 m, 0.30 m",
+    )
+    assert right == ("Ada", mass, "right", "0", "-", "-", "-", "0.31 m, 0.30 m")
+    assert apart == ("Ada", "", "right less left", "", "+3 %", "-", "-10 %", "")
     assert len(left) == len(FORCE_COLUMNS)

@@ -22,7 +22,7 @@ MASS_KG = 70.0
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Files of a person of 70 kg and of the same person with an unknown mass."""
+    """Files of a person of 70 kg, and of the same person without a stated mass."""
     path = tmp_path_factory.mktemp("forces")
     points_m = truth_of(ACT).xyz_m[:150]
     session = SessionMaker.from_points(points_m, ACT.joints.names, ACT.rate_hz, "m")
@@ -48,10 +48,18 @@ def test_csv_has_a_row_a_frame_in_newtons(folder: Path) -> None:
     assert {"left_knee_flexion_nm", "right_hip_flexion_sigma_nm", "left_ankle_w", "may_touch_person"} <= rows[0].keys()
 
 
-def test_unknown_mass_gives_forces_for_each_kilogram(folder: Path) -> None:
-    each, whole = (rows_of(folder / name / "person-1.forces.csv") for name in ("unknown", "massive"))
-    assert float(each[75]["force_z_n_kg"]) * MASS_KG == pytest.approx(float(whole[75]["force_z_n"]), abs=0.01)
-    assert not list((folder / "unknown").glob("*.mot"))
+def test_unknown_mass_is_estimated_and_forces_are_for_each_kilogram_too(folder: Path) -> None:
+    guess, whole = (rows_of(folder / name / "person-1.forces.csv")[75] for name in ("unknown", "massive"))
+    assert float(guess["force_z_n_kg"]) * MASS_KG == pytest.approx(float(whole["force_z_n"]), abs=0.01)
+    assert float(guess["force_z_n_kg"]) * float(guess["mass_kg"]) == pytest.approx(float(guess["force_z_n"]), abs=0.05)
+    assert (float(guess["mass_is_estimated"]), float(whole["mass_is_estimated"])) == (1.0, 0.0)
+    assert float(guess["force_z_sigma_n"]) > 5.0 * float(whole["force_z_sigma_n"])
+    assert "force_z_n_kg" not in whole
+    document = json.loads((folder / "unknown" / "metrics.json").read_text())["forces"][0]
+    assert document["mass_is_estimated"]
+    assert document["mass_kg"] == pytest.approx(float(guess["mass_kg"]), abs=0.06)
+    setup = (folder / "unknown" / "person-1.forces.xml").read_text()
+    assert f"<!-- Mass {document['mass_kg']:.0f} kg, estimated from the stature" in setup
 
 
 def test_external_loads_are_forces_on_axes_of_opensim(folder: Path) -> None:

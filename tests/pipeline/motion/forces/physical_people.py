@@ -81,9 +81,9 @@ def solved(act: Act) -> Animation:
 
 
 def estimated(act: Act, mass_kg: float | None = None, **more: Any) -> PersonForces:
-    """Forces of an act: of its fit, or of its exact joints without cameras."""
+    """Forces of an act: of its fit, or of its exact joints without cameras; in newtons with a mass."""
     animation = animated(act) if act.num_cameras else solved(act)
     subject = Subject(mass_kg=mass_kg)
     forces = forces_of(animation.motions[0], animation.tracks[0], act.joints, subject, animation.floor, **more)
     assert forces is not None
-    return forces
+    return forces if mass_kg is None else forces.in_newtons()
