@@ -63,6 +63,7 @@ class PersonOfTake:
     shapes: tuple[RigidShape, ...] = ()  # Rigid objects
     floor: Floor | None = None
     others: tuple[Track3D, ...] = ()  # Other people of the take
+    has_forces: bool = True  # Forces are among the exports, and so in other formats, too
 
     def forces(self) -> PersonForces | None:
         """Forces of the person, computed once."""
@@ -87,7 +88,9 @@ def force_figures(people: Iterable[PersonOfTake]) -> list[dict[str, Any]]:
     return [forces_document(forces, number) for number, forces in of_people if forces is not None]
 
 
-def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterator[PersonOfTake]:
+def take_people(
+    take: Reconstruction, timeline: Timeline, body: Body, *, has_forces: bool = True
+) -> Iterator[PersonOfTake]:
     """People of a take, in its order."""
     origin_m = file_origin_m(take.cameras)
     # Capsules are the same on every floor.
@@ -99,7 +102,7 @@ def take_people(take: Reconstruction, timeline: Timeline, body: Body) -> Iterato
         of_take = take.joints, take.timebase, origin_m, frames, is_present, choice, subject
         own = take.own.of_person(number), take.own.names, take.laboratory, take.own.shapes
         others = take.animation.floor, tuple(other for other in take.tracks if other is not track)
-        yield PersonOfTake(track, motion, *of_take, *own, *others)
+        yield PersonOfTake(track, motion, *of_take, *own, *others, has_forces)
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +189,7 @@ def _written(
         skeleton_m,
         angles,
         balance,
-        person.forces,
+        person.forces if person.has_forces else lambda: None,
         person.own,
         person.own_names,
         person.laboratory,

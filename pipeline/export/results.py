@@ -220,7 +220,9 @@ def write_files(
     on_people = split(sub_share(on_share, 0.0, 0.8), _num_frames(shown, timeline))
     with tempfile.TemporaryDirectory(prefix=".skeletons-", dir=folder) as tracks_folder:
         tracks = []
-        for person, on_person in zip(person_files.take_people(shown, timeline, body), on_people, strict=True):
+        for person, on_person in zip(
+            person_files.take_people(shown, timeline, body, has_forces="forces" in exports), on_people, strict=True
+        ):
             of_person = _paths(person, folder, Path(tracks_folder), exports)
             tracks.append(of_person[person_files.SKELETONS])
             for name, file in person_files.write_person(person, of_person, preset, kept, on_person):
@@ -283,7 +285,8 @@ def keep_people(
     ``rows`` are the people's places among the tracks.
     """
     shown = at_rate(reconstruction, frame_rate_hz)
-    people = islice(person_files.take_people(shown, timeline, body), rows.start, rows.stop, rows.step)
+    of_take = person_files.take_people(shown, timeline, body, has_forces="forces" in exports)
+    people = islice(of_take, rows.start, rows.stop, rows.step)
     on_people = split(on_share, _num_frames(shown, timeline)[rows])
     for person, on_person in zip(people, on_people, strict=True):
         paths = _paths(person, folder, folder, formats_of_people(exports))

@@ -18,7 +18,8 @@ events. Times are from the file's first frame on, in minutes and seconds.
 With a laboratory's file whose time is known, the person is at its frames and in its unit of lengths; its analog
 channels, force plates and events are added. Samples are floats in the file, which hold every integer of 16 bits: each
 number is the laboratory's, and scales and offsets stay. Corners of force plates are in the world of the points; all
-else of a plate is along its own axes.
+else of a plate is along its own axes. Without a laboratory's file, but with the export ``forces``, plates are estimated
+(``estimated_plates``).
 
 Takes of more than 65,535 frames have their number of frames in ``TRIAL:ACTUAL_END_FIELD`` and ``POINT:LONG_FRAMES``.
 """
@@ -43,6 +44,7 @@ from pipeline.core.data.people import Source, Track3D
 from pipeline.core.joints import JointSet
 from pipeline.export.resample import on_clock
 from pipeline.export.timelines import frame_blocks, unknown_outside
+from pipeline.export.writers.estimated_plates import estimated_plates
 from pipeline.export.writers.registry import PersonContent, Writer, joint_positions
 from pipeline.motion.angles.compute import observed
 from pipeline.motion.body_segments import RIGHT_FRONT_UP, SEGMENT_LABELS, SEGMENTS
@@ -417,8 +419,11 @@ def _encode_person(given: PersonContent) -> Iterator[bytes]:
             for event, frame in zip(events, frames, strict=True)
             if 0.0 <= frame <= len(person.frames)
         )
+    laboratory = person.laboratory
+    if laboratory is None and (forces := given.forces()) is not None:
+        laboratory = estimated_plates(forces, given.timebase, given.frames)
     content = person.track, person.joints, person.timebase, person.origin_m, person.frames, events, person.motion
-    return encode(*content, person.laboratory, person.shapes)
+    return encode(*content, laboratory, person.shapes)
 
 
 WRITER = Writer(

@@ -99,7 +99,7 @@ class FilesInPieces(KeptFiles):
         named = person.motion.name if holds_name else _NOBODY
         # Forces depend on the floor, and on people who may touch the person.
         others = (part for other in person.others for part in (other.start_frame, other.xyz_m))
-        of_take = (person.floor, *others) if name == "forces" else ()
+        of_take = (person.floor, *others) if name == "forces" or (name == "c3d" and person.has_forces) else ()
         return self._pieces.key(name, self._digested[1], named, *of_take)
 
 

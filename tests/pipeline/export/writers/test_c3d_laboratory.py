@@ -21,6 +21,7 @@ from pipeline.export.writers.registry import PersonContent
 from pipeline.motion.skeleton.model import forward_kinematics
 from pipeline.validation.simulation.motion.performance import joints_at
 from tests.pipeline.export.writers.test_bvh import walk as motion_of
+from tests.pipeline.motion.forces.physical_people import estimated
 from tests.pipeline.motion.gait.walks import performed, track_of, walk
 from tests.pipeline.motion.laboratory.simulated_plates import c3d_bytes, plates_m, simulated
 
@@ -148,3 +149,12 @@ def test_events_of_long_words_leave_room_for_the_rest(tmp_path: Path) -> None:
     written_events = read_content(written(tmp_path / "a.c3d", replace(laboratory(), events=events)).read_bytes()).events
     assert 50 < len(written_events) == 64_000 // (8 + 3 * 255)
     assert written_events[0].time_s == 0.0
+
+
+def test_measured_plates_are_not_joined_by_estimated_ones(tmp_path: Path) -> None:
+    given = replace(content(laboratory()), forces=lambda: estimated(ACT))
+    path = tmp_path / "a.c3d"
+    path.write_bytes(b"".join(c3d_file.WRITER.encode(given)))
+    assert path.read_bytes() == written(tmp_path / "b.c3d", laboratory()).read_bytes()
+    path.write_bytes(b"".join(c3d_file.WRITER.encode(replace(given, laboratory=None))))
+    assert len(ezc3d.c3d(str(path), extract_forceplat_data=True)["data"]["platform"]) == 2

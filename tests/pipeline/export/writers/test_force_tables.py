@@ -5,11 +5,13 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree
 
+import ezc3d
 import numpy as np
 import pytest
 
 from pipeline.capture.points import SessionMaker
 from pipeline.core.options.config import ReconstructionConfig
+from pipeline.core.options.file_formats import Export
 from pipeline.export.timelines import read_rows
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.validation.simulation.motion.script import Gesture
@@ -98,3 +100,42 @@ def test_metrics_have_figures_of_forces(folder: Path) -> None:
     text = (folder / "massive" / "metrics.json").read_text()
     assert '"flight_residual_bw": null' in text
     assert '"max_difference_si"' in text
+
+
+@pytest.fixture(scope="module")
+def with_plates(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """C3D files of the person of 70 kg with and without forces."""
+    path = tmp_path_factory.mktemp("plates")
+    session = SessionMaker.from_points(truth_of(ACT).xyz_m[:150], ACT.joints.names, ACT.rate_hz, "m")
+    choices: dict[str, tuple[Export, ...]] = {"both": ("c3d", "forces"), "alone": ("c3d",)}
+    for name, exports in choices.items():
+        reconstruct_to_files(session, path / name, ReconstructionConfig(exports=exports, mass_kg=MASS_KG))
+    return path
+
+
+def test_c3d_has_estimated_plates_that_ezc3d_reads(with_plates: Path) -> None:
+    rows = rows_of(with_plates / "both" / "person-1.forces.csv")
+    read = ezc3d.c3d(str(with_plates / "both" / "person-1.c3d"), extract_forceplat_data=True)
+    assert read["data"]["analogs"].shape == (1, 12, 150)
+    platform = read["parameters"]["FORCE_PLATFORM"]
+    assert list(platform["TYPE"]["value"]) == [2, 2]
+    assert all("estimated" in text for text in platform["DESCRIPTIONS"]["value"])
+    assert all(label.endswith("_estimated") for label in read["parameters"]["ANALOG"]["LABELS"]["value"])
+    for side, plate in zip(("left", "right"), read["data"]["platform"], strict=True):
+        ground_n = [[float(row[f"{side}_force_{axis}_n"]) for row in rows] for axis in "xyz"]
+        np.testing.assert_allclose(-plate["force"], ground_n, atol=0.01)
+        stands = np.array(ground_n[2]) > 20.0
+        places_m = np.array([[float(row[f"{side}_pressure_{axis}_m"] or "nan") for row in rows] for axis in "xy"])
+        # The floor of a squat is flat: the force meets it where the foot presses.
+        np.testing.assert_allclose(plate["center_of_pressure"][:2, stands] / 1000.0, places_m[:, stands], atol=0.002)
+        free_nm = [float(row[f"{side}_free_moment_nm"]) for row in rows]
+        np.testing.assert_allclose(-plate["Tz"][2] / 1000.0, free_nm, atol=0.01)
+        corners_m = plate["corners"][:2] / 1000.0
+        assert (corners_m.min(1) < np.nanmin(places_m, 1)).all()
+        assert (corners_m.max(1) > np.nanmax(places_m, 1)).all()
+
+
+def test_c3d_without_forces_has_no_plates(with_plates: Path) -> None:
+    read = ezc3d.c3d(str(with_plates / "alone" / "person-1.c3d"))
+    assert "FORCE_PLATFORM" not in read["parameters"] or not read["parameters"]["FORCE_PLATFORM"]["USED"]["value"][0]
+    assert read["data"]["analogs"].shape[1] == 0
