@@ -48,6 +48,7 @@ RUN rm -rf /opt/multicap-home/downloads /opt/multicap/lib/python3.11/site-packag
         /opt/multicap/lib/python3.11/site-packages/onnxruntime/tools \
         /opt/multicap/lib/python3.11/site-packages/onnxruntime/transformers \
     && /opt/multicap/bin/python -m pip uninstall --quiet --yes setuptools \
+    && find /opt/multicap/lib/python3.11/site-packages/pip -type d -name __pycache__ -prune -exec rm -rf {} + \
     && find /opt/multicap/lib -type f -regex '.*\.\(h\|hpp\|c\|cpp\|f90\|px[di]\|pyi\|pyx\)' -delete \
     && find /opt/multicap/lib -type d -name tests -prune -exec rm -rf {} +
 

@@ -63,7 +63,7 @@ def test_both_main_people_are_found_by_many_views(clustered: Reconstruction) -> 
         assert np.nanmedian(errors_px[:, :, BODY]) <= 13
     # The bystander may be found as a third person.
     assert len(tracks) <= 3
-    assert clustered.warnings == ()
+    assert [finding.code for finding in clustered.warnings] == ["calibration_note"]
 
 
 def test_cut_and_processes_change_nothing(
@@ -100,7 +100,9 @@ def test_service_gives_same_files(
     ]
     assert all(stage["done"] == stage["total"] for stage in job["stages"])
     metrics = json.loads((tmp_path / "metrics.json").read_bytes())
-    assert job["warnings"] == [check.to_json() for check in all_checks(metrics)]
+    note, *warnings = job["warnings"]
+    assert note["code"] == "calibration_note"
+    assert warnings == [check.to_json() for check in all_checks(metrics)]
     assert served.downloads(job["id"]) == digests(tmp_path)
 
 

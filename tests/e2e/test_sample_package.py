@@ -50,7 +50,7 @@ def test_demo(demos: Path, tmp_path: Path, demo: str) -> None:
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     result = json.loads(ended.stdout)
-    assert {warning["message"].partition(":")[0] for warning in result["warnings"]} == padded
+    assert {warning["camera"] for warning in result["warnings"] if warning["severity"] == "warning"} == padded
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert metrics["num_frames"] == NUM_FRAMES
     # Of all 100 frames 8.8 and 10.9 px were measured.
