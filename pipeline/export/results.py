@@ -26,6 +26,7 @@ from pipeline.core.problems.finding_codes import TAKE_TOO_LARGE
 from pipeline.core.problems.request_codes import VALUE_NOT_ALLOWED
 from pipeline.core.progress import OnShare, ignore, split, sub_share
 from pipeline.export import person_files
+from pipeline.export.quality.force_checks import force_checks
 from pipeline.export.quality.report import encode as encode_metrics
 from pipeline.export.quality.report import quality_report
 from pipeline.export.quality.world_checks import failed_check
@@ -258,14 +259,19 @@ def write_files(
         keep(folder / CALIBRATION, [encode_calibration(reconstruction.cameras)])
     at_session_rate = () if shown is reconstruction else person_files.take_people(reconstruction, timeline, body)
     asked = {"forces": figures or person_files.force_figures(at_session_rate)} if "forces" in exports else {}
-    path, metrics = folder / METRICS, report(reconstruction) | asked | {"exports": check}
-    if of_takes.too_large:
-        metrics["capture_checks"] = [*metrics["capture_checks"], *of_takes.too_large]
+    metrics = _with_checks(report(reconstruction) | asked | {"exports": check}, shown, of_takes.too_large)
+    path = folder / METRICS
     with person_files.replacing(path, [encode_metrics(metrics)]):
         pass
     on_share(1.0)
     complete(path)
     return WrittenResults(tuple(paths), metrics)
+
+
+def _with_checks(metrics: dict[str, Any], take: Reconstruction, too_large: list[dict[str, Any]]) -> dict[str, Any]:
+    """Content of ``metrics.json`` with findings about its files: too large ones, and forces that are missing."""
+    of_forces = force_checks(take, metrics["forces"]) if "forces" in metrics else ()
+    return metrics | {"capture_checks": [*metrics["capture_checks"], *too_large, *of_forces]}
 
 
 def keep_people(

@@ -216,6 +216,11 @@ message."""
 OWN_POINTS_DOUBTFUL = WARNINGS.code("own_points_doubtful", "warning")
 """A rigid object has no pose in any frame, or animals were tracked because `clustering` lacks their bones. | Correct
 the [file](../guide/own-points.md) about your own points."""
+FORCES_MISSING = WARNINGS.code("forces_missing", "warning")
+"""A table of forces is empty: there are fewer than 20 frames a second, or joints of the body are missing. | Follow the
+message."""
+FORCES_WITHOUT_FEET = WARNINGS.code("forces_without_feet", "warning")
+"""Heels and toes were never seen: where the forces act on the feet is a guess. | Use a detector with heels and toes."""
 TOO_FEW_CAMERAS = WARNINGS.code("too_few_cameras", 422, "warning", "finding", "job", "command")
 """The session has fewer than three cameras. | Add a camera."""
 DAMAGED_VIDEO = WARNINGS.code("damaged_video", "warning")

@@ -23,6 +23,7 @@ from pipeline.detection.entries import find_entry
 from pipeline.export.overlay import given_names, people_at
 from pipeline.export.person_files import force_figures, take_people
 from pipeline.export.privacy.blur import blur_ellipses
+from pipeline.export.quality.force_checks import force_checks
 from pipeline.export.quality.report import all_checks, quality_report
 from pipeline.export.quality.views import PersonViews, person_views, without_fingers
 from pipeline.export.report.biomechanics import MAX_PEOPLE, PersonAngles
@@ -62,6 +63,7 @@ def gather_contents(
     metrics = quality_report(take, views)
     if "forces" in config.exports:
         metrics["forces"] = force_figures(take_people(take, "person", "capsules"))
+        metrics["capture_checks"] = [*metrics["capture_checks"], *force_checks(take, metrics["forces"])]
     pictures: list[Picture] = []
     notes: list[str] = []
     shown = take.cameras[:MAX_PICTURES]

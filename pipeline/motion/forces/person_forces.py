@@ -33,8 +33,8 @@ _ON_FOOT_M = 0.25
 # and Hume, "Evaluation of lower extremity overuse injury potential in runners", Med. Sci. Sports Exerc. 32, 2000).
 _STANCE_S, _RISE = 0.1, (0.2, 0.8)
 _WEIGHT = GRAVITY_M_S2
-# Least rate of frames: twice the highest cutoff of the motion.
-_LEAST_RATE_HZ = 20.0
+LEAST_RATE_HZ = 20.0
+"""Least rate of frames, which shows steps."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +112,7 @@ def forces_of(
     ``None`` if the detector lacks joints of the body, the track is shorter than twelve frames, or has fewer than 20 a
     second, which show no steps.
     """
-    if motion.frame_rate_hz < _LEAST_RATE_HZ:
+    if motion.frame_rate_hz < LEAST_RATE_HZ:
         return None
     stances = find_stances(motion, track, joints)
     body = body_in_motion(motion, track, joints, subject, stances.flies)

@@ -1,0 +1,53 @@
+"""Findings about forces that are missing or rest on a guess."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.capture.points import SessionMaker
+from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.options.config import ReconstructionConfig
+from pipeline.export.quality.force_checks import force_checks
+from pipeline.run.engine.local import reconstruct, reconstruct_to_files
+from pipeline.validation.simulation.motion.script import Gesture
+from tests.pipeline.motion.forces.physical_people import truth_of
+from tests.pipeline.motion.gait.walks import exercise
+
+ACT = exercise(Gesture.SQUAT)
+SESSION = SessionMaker.from_points(truth_of(ACT).xyz_m[:90], ACT.joints.names, ACT.rate_hz, "m")
+
+
+@pytest.fixture(scope="module")
+def take() -> Reconstruction:
+    return reconstruct(SESSION)
+
+
+def test_people_with_forces_have_no_finding(take: Reconstruction) -> None:
+    assert not list(force_checks(take, [{"id": take.tracks[0].track_id}]))
+
+
+def test_person_without_forces_is_named(take: Reconstruction) -> None:
+    (found,) = force_checks(take, [])
+    assert found["code"] == "forces_missing"
+    assert take.motions[0].name in found["message"]
+
+
+def test_person_without_heels_and_toes_is_named(take: Reconstruction) -> None:
+    (track,) = take.tracks
+    xyz_m = np.array(track.xyz_m)
+    xyz_m[:, [k for k, name in enumerate(take.joints.names) if "heel" in name or "toe" in name]] = np.nan
+    animation = replace(take.animation, tracks=(replace(track, xyz_m=xyz_m),))
+    (found,) = force_checks(replace(take, animation=animation), [{"id": track.track_id}])
+    assert found["code"] == "forces_without_feet"
+    assert take.motions[0].name in found["message"]
+
+
+def test_files_of_few_frames_a_second_say_that_forces_are_missing(tmp_path: Path) -> None:
+    reconstruct_to_files(SESSION, tmp_path, ReconstructionConfig(exports=("forces",), output_rate_hz=10.0))
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    (found,) = [check for check in metrics["capture_checks"] if check["code"] == "forces_missing"]
+    assert found["evidence"] == {"frame_rate_hz": 10.0}
+    assert metrics["forces"]  # figures are of the session's rate
