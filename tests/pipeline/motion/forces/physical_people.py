@@ -1,7 +1,8 @@
 """Simulated people whose centre of mass moves as forces of limited size move it, with these forces.
 
-Simulated joints follow poses, not forces: the whole body is shifted so that its centre has a path without kinks, which
-falls freely in flights. The force of the ground is then known exactly.
+Simulated joints follow poses, not forces: the body above the feet is shifted so that its centre of mass has a path
+without kinks, which falls freely in flights. The force of the ground is then known exactly. Feet stay where they stand:
+if they were shifted too, they would rise before a take-off and sink after a landing.
 """
 
 from functools import cache
@@ -27,6 +28,8 @@ FINE_HZ = 1000.0
 # Highest frequencies of the true forces, of acts with flights and of others: simulated steps are stiffer than people's,
 # whose force is within 70 to 130 % of their weight in a walk.
 FORCE_HZ = {True: 6.0, False: 3.5}
+# Share of the body's shift that joints of the legs have.
+SHIFTED = {"knee": 0.5, "ankle": 0.0, "heel": 0.0, "toe": 0.0}
 
 
 class Truth(NamedTuple):
@@ -51,7 +54,8 @@ def truth_of(act: Act) -> Truth:
     flies = hop_m > 0.0005
     smoother = PathSmoother(np.ones(len(time_s), bool), penalty_of(FORCE_HZ[bool(flies.any())], FINE_HZ), FINE_HZ)
     path_m = smoother.path_with_falls(centre_m, 0.1, flies)
-    joints_m += (path_m - centre_m)[:, None]
+    shifted = np.array([next((share for kind, share in SHIFTED.items() if kind in n), 1.0) for n in act.joints.names])
+    joints_m += (path_m - centre_m)[:, None] * (shifted / (masses.weights @ shifted))[:, None]
     force = smoother.acceleration(path_m) + np.array([0.0, 0.0, GRAVITY_M_S2])
     rows = (np.arange(0.0, act.duration_s - 1.0 / act.rate_hz, 1.0 / act.rate_hz) * FINE_HZ).round().astype(int)
     half = round(FINE_HZ / act.rate_hz / 2)

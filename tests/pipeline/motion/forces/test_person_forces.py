@@ -198,7 +198,7 @@ def test_document_has_stances_and_jumps() -> None:
     heights_m = truth_of(JUMP).heights_m
     assert len(of_jump["jumps"]) == len(heights_m)
     for jump, height_m in zip(of_jump["jumps"], heights_m, strict=True):
-        assert jump["by_impulse_m"] == pytest.approx(height_m, abs=0.04)
+        assert jump["by_impulse_m"] == pytest.approx(height_m, abs=0.01)
 
 
 def stepping(*stances: tuple[int, int, int]) -> PersonForces:
