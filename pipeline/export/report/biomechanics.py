@@ -11,8 +11,10 @@ from pipeline.core.joints import SIDES
 from pipeline.export.report.markup import Markup, element, join
 from pipeline.motion.angles.compute import NUM_POINTS, JointAngles, normalised_cycles
 from pipeline.motion.body_segments import ANGLE_NAMES, JOINTS
+from pipeline.motion.forces.person_forces import PersonForces
 from pipeline.motion.gait.movements import MovementKind
 from pipeline.motion.gait.strides import Stride
+from pipeline.motion.skeleton.feet.floor import find_runs
 
 MAX_PEOPLE = 10
 """Largest number of people whose angles are in a report; ``metrics.json`` has everybody's."""
@@ -30,6 +32,8 @@ _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 360, 130, 34, 16, 6
 # Largest number of points of a line: a pixel of the plot has one.
 _MAX_POINTS = _WIDTH - _LEFT
 _LEAST_SPAN_DEG = 20.0
+# Distances of ticks: of other values, and of angles.
+_STEPS = (10, 20, 50, 100, 200, 500, 1000), (10, 20, 30, 45, 90, 180, 360)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +44,7 @@ class PersonAngles:
     angles: JointAngles
     ranges: Mapping[str, Mapping[str, Any]]  # ``angles`` of the person in ``metrics.json``
     strides: Sequence[Stride] = ()  # Strides of the person's gait; rows are the angles'
+    forces: PersonForces | None = None  # Forces in the same rows; ``None``: unknown, or not among the exports
 
 
 def angle_parts(people: Sequence[PersonAngles], frame_rate_hz: float) -> Iterable[Markup]:
@@ -47,7 +52,7 @@ def angle_parts(people: Sequence[PersonAngles], frame_rate_hz: float) -> Iterabl
     for person in people:
         column = {name: person.angles.angle_deg[:, number] for number, name in enumerate(ANGLE_NAMES)}
         plots = [
-            _plot(title, {side: column[f"{side}_{name}"] for side in SIDES}, person.angles.start_frame, frame_rate_hz)
+            plot(title, {side: column[f"{side}_{name}"] for side in SIDES}, person.angles.start_frame, frame_rate_hz)
             for name, title in _PLOTS.items()
             if any(f"{side}_{name}" in person.ranges for side in SIDES)
         ]
@@ -77,13 +82,13 @@ def _gait(person: PersonAngles, column: Mapping[str, Float[np.ndarray, " frames"
             for side in SIDES
         }
         if any(map(len, cycles.values())):
-            plots.append(_cycle_plot(_PLOTS[name], cycles))
+            plots.append(cycle_plot(_PLOTS[name], cycles))
     if plots:
         yield element("p", "Steady strides, from foot strike to foot strike: mean and one standard deviation.")
         yield element("div", plots, class_="plots")
 
 
-def _cycle_plot(title: str, cycles_deg: Mapping[str, Float[np.ndarray, "cycles points"]]) -> Markup:
+def cycle_plot(title: str, cycles_deg: Mapping[str, Float[np.ndarray, "cycles points"]], unit: str = "°") -> Markup:
     """Plot of the mean over cycles of each side, with a band of one standard deviation."""
     known = {side: cycles for side, cycles in cycles_deg.items() if len(cycles)}
     mean = {side: cycles.mean(0) for side, cycles in known.items()}
@@ -105,7 +110,7 @@ def _cycle_plot(title: str, cycles_deg: Mapping[str, Float[np.ndarray, "cycles p
         side: f"{side}, {len(cycles)} {'stride' if len(cycles) == 1 else 'strides'}" for side, cycles in known.items()
     }
     label = f"{title} over a stride: {'; '.join(words.values())}"
-    return _figure(title, label, scale, ("0 %", "100 %"), drawn, words)
+    return _figure(title, label, scale, ("0 %", "100 %"), drawn, words, unit)
 
 
 def _table(person: PersonAngles) -> Markup:
@@ -140,22 +145,42 @@ def _range(found: Mapping[str, Any] | None) -> str:
     return f"{round(found['min_deg'])} to {round(found['max_deg'])}°{sigma}"
 
 
-def _plot(
-    title: str, lines_deg: Mapping[str, Float[np.ndarray, " frames"]], start_frame: int, frame_rate_hz: float
+def plot(
+    title: str,
+    lines_deg: Mapping[str, Float[np.ndarray, " frames"]],
+    start_frame: int,
+    frame_rate_hz: float,
+    unit: str = "°",
+    bands: Mapping[str, Float[np.ndarray, " frames"]] | None = None,
 ) -> Markup:
-    """Plot of an angle of both sides over the frames of a person, with a gap where it is unknown."""
-    known_deg = np.concatenate([line[np.isfinite(line)] for line in lines_deg.values()])
+    """Plot of an angle of both sides over the frames of a person, with a gap where it is unknown.
+
+    With another unit it is a plot of other values; ``bands`` are half widths of bands around the lines.
+    """
+    half = {side: np.zeros_like(line) for side, line in lines_deg.items()} if bands is None else bands
+    ends = [line + sign * half[side] for side, line in lines_deg.items() for sign in (-1.0, 1.0)]
+    known_deg = np.concatenate([end[np.isfinite(end)] for end in ends])
     scale = _Scale.fit(known_deg)
     num_frames = len(next(iter(lines_deg.values())))
     # Thinned out to the pixels of the plot.
     rows = np.unique(np.linspace(0, num_frames - 1, min(num_frames, _MAX_POINTS)).round().astype(int))
     across = _LEFT + rows / max(num_frames - 1, 1) * (_WIDTH - _LEFT)
     start_s, end_s = start_frame / frame_rate_hz, (start_frame + max(num_frames - 1, 1)) / frame_rate_hz
-    drawn = [element("path", d=_line(across, scale.y(line[rows])), class_=side) for side, line in lines_deg.items()]
-    label = f"{title} from {known_deg.min():.0f} to {known_deg.max():.0f} degrees, left and right"
-    return _figure(
-        title, label, scale, (f"{start_s:.1f} s", f"{end_s:.1f} s"), drawn, {side: side for side in lines_deg}
-    )
+    drawn = []
+    for side, line in lines_deg.items():
+        for first, stop in find_runs(np.isfinite(line[rows])) if bands is not None else ():
+            places = rows[first:stop]
+            low, high = (scale.y(line[places] + sign * half[side][places]) for sign in (-1.0, 1.0))
+            outline = [
+                *zip(across[first:stop], low, strict=True),
+                *zip(across[first:stop][::-1], high[::-1], strict=True),
+            ]
+            drawn.append(element("polygon", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in outline), class_=side))
+    drawn += [element("path", d=_line(across, scale.y(line[rows])), class_=side) for side, line in lines_deg.items()]
+    of_unit = "degrees" if unit == "°" else unit
+    label = f"{title} from {known_deg.min():.0f} to {known_deg.max():.0f} {of_unit}, left and right"
+    times = f"{start_s:.1f} s", f"{end_s:.1f} s"
+    return _figure(title, label, scale, times, drawn, {side: side for side in lines_deg}, unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,25 +202,31 @@ class _Scale:
         share = (self.high_deg - angle_deg) / (self.high_deg - self.low_deg)
         return np.asarray(_TOP + share * (_HEIGHT - _BOTTOM - _TOP))
 
-    def ticks_deg(self) -> Float[np.ndarray, " ticks"]:
-        """Round angles, about four of them."""
-        span_deg = self.high_deg - self.low_deg
-        step_deg = next(step for step in (10, 20, 30, 45, 90, 180, 360) if span_deg / step <= 4.4 or step == 360)
+    def ticks(self, unit: str) -> Float[np.ndarray, " ticks"]:
+        """Round values, about four of them."""
+        span_deg, steps = self.high_deg - self.low_deg, _STEPS[unit == "°"]
+        step_deg = next(step for step in steps if span_deg / step <= 4.4 or step == steps[-1])
         return np.arange(np.ceil(self.low_deg / step_deg), np.floor(self.high_deg / step_deg) + 1) * step_deg
 
 
 def _figure(
-    title: str, label: str, scale: _Scale, ends: tuple[str, str], drawn: Sequence[Markup], keys: Mapping[str, str]
+    title: str,
+    label: str,
+    scale: _Scale,
+    ends: tuple[str, str],
+    drawn: Sequence[Markup],
+    keys: Mapping[str, str],
+    unit: str,
 ) -> Markup:
     """Plot with its scale.
 
     ``ends`` are the words at both ends of the axis across, ``keys`` the words for the colours by side.
     """
-    ticks_deg = scale.ticks_deg()
+    ticks_deg = scale.ticks(unit)
     marks = [
         join(
             element("line", x1=_LEFT, x2=_WIDTH, y1=f"{place:.1f}", y2=f"{place:.1f}", class_="grid"),
-            element("text", f"{round(tick_deg)}°", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
+            element("text", f"{round(tick_deg)}{unit}", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
         )
         for tick_deg, place in zip(ticks_deg, scale.y(ticks_deg), strict=True)
     ]

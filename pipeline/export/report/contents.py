@@ -33,6 +33,7 @@ from pipeline.export.viewer.description import ViewerMotion
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.body.installed import find as find_body
 from pipeline.motion.body.shape import BodyShapes
+from pipeline.motion.forces.person_forces import PersonForces
 from pipeline.motion.gait.analysis import analyse_gait
 from pipeline.video.decode import decode
 from pipeline.video.info import VideoInfo
@@ -61,8 +62,10 @@ def gather_contents(
     """
     views = person_views(take)
     metrics = quality_report(take, views)
+    # Forces of each person are computed once, for the figures and the plots.
+    people = list(take_people(take, "person", "capsules")) if "forces" in config.exports else []
     if "forces" in config.exports:
-        metrics["forces"] = force_figures(take_people(take, "person", "capsules"))
+        metrics["forces"] = force_figures(people)
         metrics["capture_checks"] = [*metrics["capture_checks"], *force_checks(take, metrics["forces"])]
     pictures: list[Picture] = []
     notes: list[str] = []
@@ -88,7 +91,7 @@ def gather_contents(
         name=name,
         motion=embed_motion(take, views, metrics, find_body()),
         metrics=metrics,
-        angles=_person_angles(take, metrics),
+        angles=_person_angles(take, metrics, {person.track.track_id: person.forces() for person in people}),
         findings=[*session.findings, *all_checks(metrics)],
         pictures=pictures,
         notes=notes,
@@ -102,7 +105,9 @@ def gather_contents(
     )
 
 
-def _person_angles(take: Reconstruction, metrics: Mapping[str, Any]) -> list[PersonAngles]:
+def _person_angles(
+    take: Reconstruction, metrics: Mapping[str, Any], forces: Mapping[int, PersonForces | None]
+) -> list[PersonAngles]:
     """Joint angles of the first people with any known angle."""
     ranges = {person["id"]: person["angles"] for person in metrics["people"]}
     people = zip(take.tracks, take.motions, strict=True)
@@ -113,6 +118,7 @@ def _person_angles(take: Reconstruction, metrics: Mapping[str, Any]) -> list[Per
             joint_angles(motion, track, take.joints),
             ranges[track.track_id],
             analyse_gait(without_fingers(track, take.joints), take.joints, take.timebase.frame_rate_hz).strides,
+            forces.get(track.track_id),
         )
         for track, motion in known[:MAX_PEOPLE]
     ]

@@ -9,6 +9,7 @@ from typing import Any
 
 from pipeline.core.findings import Finding, worst_first
 from pipeline.export.report import biomechanics
+from pipeline.export.report.force_plots import force_parts
 from pipeline.export.report.markup import Markup, data, element, join, source_hash
 from pipeline.export.report.pictures import Picture
 
@@ -63,6 +64,7 @@ def encode_page(contents: ReportContents) -> bytes:
             _take(contents),
             _angles(contents),
             _gait(contents),
+            _forces(contents),
             _pictures(contents),
             _section(
                 "details",
@@ -189,6 +191,11 @@ def _angles(contents: ReportContents) -> Markup:
         notes.append(f"These are the first {len(contents.angles)} people; metrics.json has the ranges of all.")
     parts = biomechanics.angle_parts(contents.angles, contents.metrics["frame_rate_hz"])
     return _section("angles", "Joint angles", (element("p", note, class_="quiet") for note in notes), parts)
+
+
+def _forces(contents: ReportContents) -> Markup:
+    parts = list(force_parts(contents.angles, contents.metrics["frame_rate_hz"]))
+    return _section("forces", "Forces", parts) if parts else Markup()
 
 
 def _pictures(contents: ReportContents) -> Markup:
