@@ -20,7 +20,6 @@ or send it to a service:
 other package.
 """
 
-import importlib.metadata
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
@@ -173,7 +172,7 @@ _REFERENCES = {
 def __getattr__(name: str) -> Any:
     """Load a name at its first use (PEP 562)."""
     if name == "__version__":
-        return importlib.metadata.version("multicap")
+        return resolve_name("importlib.metadata:version")("multicap")
     if name not in _REFERENCES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = globals()[name] = resolve_name(_REFERENCES[name])

@@ -3,7 +3,6 @@
 import atexit
 import gc
 import importlib
-import importlib.metadata
 import sys
 import warnings
 from collections.abc import Mapping
@@ -84,7 +83,9 @@ app = typer.Typer(name="multicap", cls=LazyGroup, no_args_is_help=True, pretty_e
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"multicap {importlib.metadata.version('multicap')}")
+        from importlib.metadata import version  # noqa: PLC0415 - slow to import, and seldom needed
+
+        typer.echo(f"multicap {version('multicap')}")
         raise typer.Exit
 
 

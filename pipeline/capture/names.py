@@ -159,7 +159,7 @@ def nfc(name: str) -> str:
 _ATTRIBUTES, _FOLDER = "._", "__macosx"
 _SYSTEM_FILES = frozenset({"desktop.ini", "thumbs.db"})
 # Small copies and thumbnails of GoPro and DJI; spherical videos of Insta360, whose two fisheyes no calibration fits.
-_ENDINGS = frozenset({".lrv", ".lrf", ".thm", ".insv"})
+_ENDINGS = (".lrv", ".lrf", ".thm", ".insv")
 _MAX_SHOWN = 6
 
 
@@ -174,7 +174,7 @@ def is_passed_over(path: Path) -> bool:
         name.startswith(_ATTRIBUTES)
         or name == _FOLDER
         or name in _SYSTEM_FILES
-        or (path.suffix.casefold() in _ENDINGS and not path.is_dir())
+        or (name.endswith(_ENDINGS) and not path.is_dir())
     )
 
 

@@ -1,5 +1,6 @@
 """Joint sets of detectors: joint names in the detector's order, and the bones between them."""
 
+import functools
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -125,6 +126,7 @@ WHOLE_BODY = JointSet(
 """Joints of ``BODY_FEET``, then the fingers of the left and of the right hand."""
 
 
+@functools.cache
 def without_hands(joints: JointSet) -> JointSet:
     """Joints of a set that belong to no finger, in the same order."""
     return JointSet(

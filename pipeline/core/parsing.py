@@ -9,17 +9,18 @@ import csv
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
 from typing import Any, NamedTuple, TextIO, TypeVar
 
 import numpy as np
+from pydantic_core import from_json
 
 # Python refuses to read integers of more than 4300 digits; floats end at 309.
 _MAX_DIGITS = 300
-_LONG_INTEGER = re.compile(r"[0-9]{301}")
+_LONG_INTEGER, _AS_ZEROS = b"0" * (_MAX_DIGITS + 1), bytes.maketrans(b"123456789", b"0" * 9)
 _XML_ENCODING = re.compile(r"""(\A\s*<\?xml[^>]*?)\s+encoding\s*=\s*["'][^"'>]*["']""")
 
 _Content = TypeVar("_Content")
@@ -76,9 +77,12 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _loads(content: bytes, hook: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
+    if hook is None and _LONG_INTEGER not in content.translate(_AS_ZEROS):
+        # Seven times as fast, with equal values. It refuses some texts that Python reads, such as UTF-16.
+        with suppress(ValueError):
+            return from_json(content)
     text = content.decode(json.detect_encoding(content), "surrogatepass")
-    # Calling a Python function for each integer would take most of the time of a large file.
-    return json.loads(text, parse_int=_integer if _LONG_INTEGER.search(text) else None, object_pairs_hook=hook)
+    return json.loads(text, parse_int=_integer, object_pairs_hook=hook)
 
 
 def _integer(digits: str) -> int | float:

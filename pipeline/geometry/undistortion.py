@@ -1,6 +1,7 @@
 """Undistortion: from image pixels to the pixels of an ideal pinhole camera."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
@@ -26,15 +27,21 @@ def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Fl
     """
     if camera.is_ideal:
         return points_px
-    inverse = np.linalg.inv(camera.matrix)
+    inverse, coefficients = _lens(camera)
     # One large product: NumPy computes a stack of small products one by one.
     normalised = points_px.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]
     if camera.lens == "fisheye":
         normalised = undistort_fisheye(normalised, camera.distortion)
     else:
         blocks = zero_records(1, block_dtype(_BLOCK))
-        undistort(normalised, twelve_coefficients(camera.distortion), _MAX_STEPS, _TOLERANCE, blocks)
+        undistort(normalised, coefficients, _MAX_STEPS, _TOLERANCE, blocks)
     return (normalised @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).reshape(points_px.shape)
+
+
+@lru_cache(maxsize=256)  # people are undistorted by small arrays, thousands of times a session
+def _lens(camera: Camera) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 12"]]:
+    """Inverse camera matrix, and coefficients of the distortion as kernels take them."""
+    return np.linalg.inv(camera.matrix), twelve_coefficients(camera.distortion[:12])
 
 
 def undistort_views(

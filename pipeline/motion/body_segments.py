@@ -190,14 +190,7 @@ SEGMENTS: Mapping[str, BodySegment] = MappingProxyType(
 """Segments by name; names of limbs begin with the side."""
 
 _TRUNK = {"pelvis": "pelvis", "thorax": "torso", "head": "head"}
-_LIMBS = {
-    "thigh": "thigh",
-    "shank": "shank",
-    "foot": "foot",
-    "upper_arm": "uarm",
-    "forearm": "larm",
-    "hand": "hand",
-}
+_LIMBS = {"thigh": "thigh", "shank": "shank", "foot": "foot", "upper_arm": "uarm", "forearm": "larm", "hand": "hand"}
 SEGMENT_LABELS: Mapping[str, str] = MappingProxyType(
     {name: f"{label}_4X4" for name, label in _TRUNK.items()}
     | {f"{side}_{name}": f"{side[0]}_{label}_4X4" for side in ("left", "right") for name, label in _LIMBS.items()}

@@ -101,17 +101,8 @@ class Projection(NamedTuple):
 
 def linearise(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> Projection:
     """Project points and differentiate; the model is the same as in ``geometry.camera.project``."""
-    rotation = camera.cam_from_world.rotation
-    in_cam = camera.cam_from_world.apply(xyz_m)
-    depth_m = np.where(in_cam[:, 2] > 1e-6, in_cam[:, 2], np.nan)
-    ideal = in_cam[:, :2] / depth_m[:, None]
-    scale = camera.matrix[:2, :2]
-    ideal_by_cam = np.zeros((len(xyz_m), 2, 3))
-    ideal_by_cam[:, 0, 0] = ideal_by_cam[:, 1, 1] = 1.0 / depth_m
-    ideal_by_cam[:, :, 2] = -ideal / depth_m[:, None]
-    by_cam = scale @ _by_ideal(camera, ideal) @ ideal_by_cam
-    by_point = by_cam @ rotation
-    from_principal = bend(camera, ideal) @ scale.T
+    in_cam, ideal, from_principal, by_cam = _linearise_in_cam(camera, xyz_m)
+    by_point = by_cam @ camera.cam_from_world.rotation
     by_aspect = np.zeros((len(xyz_m), 2, 1))
     by_aspect[:, 1, 0] = from_principal[:, 1]
     by_camera = np.concatenate(
@@ -121,11 +112,31 @@ def linearise(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> Projectio
             from_principal[:, :, None],
             by_aspect,
             np.tile(np.eye(2), (len(xyz_m), 1, 1)),
-            scale @ _by_coefficients(camera, ideal),
+            camera.matrix[:2, :2] @ _by_coefficients(camera, ideal),
         ],
         axis=-1,
     )
     return Projection(from_principal + camera.matrix[:2, 2], by_camera, by_point)
+
+
+def linearise_points(
+    camera: Camera, xyz_m: Float[np.ndarray, "points 3"]
+) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points 2 3"]]:
+    """Project points and differentiate by the points alone: ``points_px`` and ``by_point`` of ``linearise``."""
+    _, _, from_principal, by_cam = _linearise_in_cam(camera, xyz_m)
+    return from_principal + camera.matrix[:2, 2], by_cam @ camera.cam_from_world.rotation
+
+
+def _linearise_in_cam(camera: Camera, xyz_m: Float[np.ndarray, "points 3"]) -> tuple[np.ndarray, ...]:
+    """Points in the camera and on its ideal plane, pixels from the principal point, derivatives in the camera."""
+    in_cam = camera.cam_from_world.apply(xyz_m)
+    depth_m = np.where(in_cam[:, 2] > 1e-6, in_cam[:, 2], np.nan)
+    ideal = in_cam[:, :2] / depth_m[:, None]
+    scale = camera.matrix[:2, :2]
+    ideal_by_cam = np.zeros((len(xyz_m), 2, 3))
+    ideal_by_cam[:, 0, 0] = ideal_by_cam[:, 1, 1] = 1.0 / depth_m
+    ideal_by_cam[:, :, 2] = -ideal / depth_m[:, None]
+    return in_cam, ideal, bend(camera, ideal) @ scale.T, scale @ _by_ideal(camera, ideal) @ ideal_by_cam
 
 
 def _by_ideal(camera: Camera, ideal: Float[np.ndarray, "points 2"]) -> Float[np.ndarray, "points 2 2"]:

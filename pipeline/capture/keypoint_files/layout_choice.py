@@ -103,8 +103,10 @@ def misfits(
         is_seen = np.isfinite(ratio)
         num_known[:, column] = is_seen.sum(1)
         some = is_seen.any(1)
-        scale = np.nanquantile(ratio[some], _SCALE[points.shape[-1]], axis=1, keepdims=True)
-        off = np.where(is_seen[some], ratio[some] - scale, 0.0)
+        # The quantile of the known lengths: unknown ones are sorted to the end.
+        ordered, place = np.sort(ratio[some], axis=1), _SCALE[points.shape[-1]] * (num_known[some, column] - 1)
+        below, above = (np.take_along_axis(ordered, f(place)[:, None].astype(int), 1) for f in (np.floor, np.ceil))
+        off = np.where(is_seen[some], ratio[some] - below - (place % 1)[:, None] * (above - below), 0.0)
         total[some, column] = np.abs(np.clip(off, -_TOO_SHORT, _TOO_LONG)).sum(1)
     most = num_known.max(1, keepdims=True)
     return (total + _UNNAMED * (most - num_known)) / np.where(most > 0, most, np.nan)

@@ -80,18 +80,17 @@ def _compare_all(
     if left and right:
         essential = essential_matrix(cameras[left[0].camera], cameras[right[0].camera])
         stride = max(2, sum(len(motion.points) for motion in left) // _COMPARED)
-        firsts = [_prepare(motion, essential, stride) for motion in left]
-        seconds = [_prepare(motion, essential.T, stride) for motion in right]
-        for a, first in enumerate(firsts):
-            for b, second in enumerate(seconds):
-                start = left[a].first - right[b].stop + _MIN_SHARED
-                stop = left[a].stop - right[b].first - _MIN_SHARED
-                if start > lags[-1] or stop < lags[0]:
-                    continue
-                some = slice(*np.searchsorted(lags, [start, stop + 1]))
-                if some.start < some.stop:
-                    compared = _compare(first, second, lags[some], stride)
-                    value[a, b, some], cost[a, b, some], weight[a, b, some] = compared
+        firsts, seconds = _prepare(left, essential, stride), _prepare(right, essential.T, stride)
+        for a in range(len(left)):
+            start = firsts.first[a] - seconds.stop + _MIN_SHARED
+            stop = firsts.stop[a] - seconds.first - _MIN_SHARED
+            meets = (start[:, None] <= lags) & (lags <= stop[:, None])
+            # At one lag all motions are compared at once; at many lags each one by itself, to bound the memory.
+            for group in np.arange(len(right))[None] if len(lags) == 1 else np.arange(len(right))[:, None]:
+                row, lag = np.nonzero(meets[group])
+                if len(row):
+                    at = a, group[row], lag
+                    value[at], cost[at], weight[at] = _compare(firsts, a, seconds, group[row], lags[lag], stride)
     return value, cost, weight
 
 
@@ -122,46 +121,58 @@ def _overlap(first: range, second: range) -> bool:
 
 
 class _Prepared(NamedTuple):
-    """A motion, the weights of its joints, and their epipolar lines ``u x + v y + w = 0`` in the other image.
+    """Motions of a camera, the weights of their joints, and epipolar lines ``u x + v y + w = 0`` in the other image.
 
-    Single coordinates are in separate arrays: NumPy adds them much faster than along a short last axis.
+    Points of all motions follow each other. Single coordinates are in separate arrays: NumPy adds them much faster than
+    along a short last axis.
     """
 
-    motion: BodyMotion
-    novelty: Float32[np.ndarray, "steps joints"]
-    x: Float32[np.ndarray, "steps joints"]
-    y: Float32[np.ndarray, "steps joints"]
-    u: Float32[np.ndarray, "steps joints"]
-    v: Float32[np.ndarray, "steps joints"]
-    w: Float32[np.ndarray, "steps joints"]
-    norm2: Float32[np.ndarray, "steps joints"]
+    first: Int[np.ndarray, " motions"]  # Grid points
+    stop: Int[np.ndarray, " motions"]
+    begin: Int[np.ndarray, " motions"]  # Row of a motion's first point
+    tolerance: Float[np.ndarray, " motions"]
+    novelty: Float32[np.ndarray, "points joints"]
+    x: Float32[np.ndarray, "points joints"]
+    y: Float32[np.ndarray, "points joints"]
+    u: Float32[np.ndarray, "points joints"]
+    v: Float32[np.ndarray, "points joints"]
+    w: Float32[np.ndarray, "points joints"]
+    norm2: Float32[np.ndarray, "points joints"]
 
 
-def _prepare(motion: BodyMotion, essential: Float[np.ndarray, "3 3"], stride: int) -> _Prepared:
-    """Prepare a motion; a joint weighs as much as its path between two compared instants, in tolerances, at most 1."""
-    lines = motion.points @ essential[:, :2].T + essential[:, 2]
-    x, y = (np.ascontiguousarray(motion.points[..., axis], np.float32) for axis in (0, 1))
+def _prepare(motions: Sequence[BodyMotion], essential: Float[np.ndarray, "3 3"], stride: int) -> _Prepared:
+    """Prepare motions; a joint weighs as much as its path between two compared instants, in tolerances, at most 1."""
+    first, stop, tolerance = map(np.array, zip(*((m.first, m.stop, m.tolerance) for m in motions), strict=True))
+    points, path = (np.concatenate([getattr(m, name) for m in motions]) for name in ("points", "path"))
+    lines = points @ essential[:, :2].T + essential[:, 2]
+    x, y = (np.ascontiguousarray(points[..., axis], np.float32) for axis in (0, 1))
     u, v, w = (np.ascontiguousarray(lines[..., axis], np.float32) for axis in (0, 1, 2))
-    novelty = np.nan_to_num(np.minimum(1.0, motion.path * stride / _NOVEL_PATH)).astype(np.float32)
-    return _Prepared(motion, novelty, x, y, u, v, w, u**2 + v**2)
+    novelty = np.nan_to_num(np.minimum(1.0, path * stride / _NOVEL_PATH)).astype(np.float32)
+    begin = np.append(0, np.cumsum(stop - first)[:-1])
+    return _Prepared(first, stop, begin, tolerance, novelty, x, y, u, v, w, u**2 + v**2)
 
 
 def _compare(
-    first: _Prepared, second: _Prepared, lags: Int[np.ndarray, " lags"], stride: int
-) -> tuple[Float[np.ndarray, " lags"], Float[np.ndarray, " lags"], Float[np.ndarray, " lags"]]:
-    """Value, summed cost and weight of two motions at each lag."""
-    motion, other = first.motion, second.motion
-    begin = max(motion.first, other.first + int(lags[0]))
-    instants = np.arange(-(-begin // stride) * stride, min(motion.stop, other.stop + int(lags[-1])), stride)
-    rows = instants[None, :] - lags[:, None] - other.first
-    is_shared = (rows >= 0) & (rows < len(other.points))
+    firsts: _Prepared,
+    a: int,
+    seconds: _Prepared,
+    b: Int[np.ndarray, " pairs"],
+    lags: Int[np.ndarray, " pairs"],
+    stride: int,
+) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
+    """Value, summed cost and weight of motion ``a`` with motions ``b`` at their lags."""
+    start, length = seconds.first[b] + lags, (seconds.stop - seconds.first)[b, None]
+    begin, end = max(firsts.first[a], start.min()), min(firsts.stop[a], int((start + length[:, 0]).max()))
+    instants = np.arange(-(-begin // stride) * stride, end, stride)
+    rows = instants - start[:, None]
+    is_shared = (rows >= 0) & (rows < length)
     is_shared &= (is_shared.sum(1) * stride >= _MIN_SHARED)[:, None]
-    rows = np.clip(rows, 0, len(other.points) - 1)
-    at = instants - motion.first
-    product = first.u[at] * second.x[rows] + first.v[at] * second.y[rows] + first.w[at]
-    tolerance2 = np.float32((motion.tolerance**2 + other.tolerance**2) / 2)
-    cost = np.minimum(np.float32(1), product**2 / ((first.norm2[at] + second.norm2[rows]) * tolerance2))
-    weight = (first.novelty[at] + second.novelty[rows]) / 2
+    rows = np.clip(rows, 0, length - 1) + seconds.begin[b, None]
+    at = instants - firsts.first[a] + firsts.begin[a]
+    product = firsts.u[at] * seconds.x[rows] + firsts.v[at] * seconds.y[rows] + firsts.w[at]
+    tolerance2 = ((firsts.tolerance[a] ** 2 + seconds.tolerance[b] ** 2) / 2).astype(np.float32)[:, None, None]
+    cost = np.minimum(np.float32(1), product**2 / ((firsts.norm2[at] + seconds.norm2[rows]) * tolerance2))
+    weight = (firsts.novelty[at] + seconds.novelty[rows]) / 2
     weight *= np.isfinite(cost) & is_shared[..., None]
     total = weight.sum((1, 2), dtype=np.float64)
     of_cost = (weight * np.nan_to_num(cost)).sum((1, 2), dtype=np.float64)

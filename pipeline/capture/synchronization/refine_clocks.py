@@ -8,6 +8,7 @@ clocks follow from what changes.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -139,22 +140,18 @@ def _linearise(
 ) -> _Rows:
     """Signed Sampson errors of all joints of all matches, in tolerances, and their derivatives by own times."""
     offset_s, drift, pivot_s = clocks
+    sampled = [_sampled(motion, offset_s[motion.camera], drift[motion.camera], pivot_s, step_s) for motion in motions]
     parts: list[tuple[np.ndarray, ...]] = []
     for number, (a, b) in enumerate(matches):
         first, second = motions[a], motions[b]
-        ends_s = [
-            STEP_S * np.array([motion.first, motion.stop - 1]) * (1 + drift[motion.camera])
-            + offset_s[motion.camera] - drift[motion.camera] * pivot_s
-            for motion in (first, second)
-        ]  # fmt: skip
-        begin_s, end_s = max(ends_s[0][0], ends_s[1][0]), min(ends_s[0][1], ends_s[1][1])
-        time_s = step_s * np.arange(np.ceil(begin_s / step_s), np.floor(end_s / step_s) + 1)
-        if not len(time_s):
+        begin = max(sampled[a].first, sampled[b].first)
+        stop = min(side.first + len(side.own_s) for side in (sampled[a], sampled[b]))
+        if stop <= begin:
             continue
-        own_s = [
-            own_times_s(time_s, offset_s[motion.camera], drift[motion.camera], pivot_s) for motion in (first, second)
-        ]
-        (left, left_speed), (right, right_speed) = _at(first, own_s[0]), _at(second, own_s[1])
+        time_s = step_s * np.arange(begin, stop)
+        both = [(side, slice(begin - side.first, stop - side.first)) for side in (sampled[a], sampled[b])]
+        (left, right), own_s = [side.points[at] for side, at in both], [side.own_s[at] for side, at in both]
+        left_speed, right_speed = (side.speed[at] for side, at in both)
         essential = essentials[first.camera, second.camera]
         line_in_right = left @ essential[:, :2].T + essential[:, 2]
         line_in_left = right @ essential[:2] + essential[2]
@@ -182,15 +179,24 @@ def _linearise(
     return _Rows(*columns)
 
 
-def _at(
-    motion: BodyMotion, own_s: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, "n joints 2"], Float[np.ndarray, "n joints 2"]]:
-    """Joints and their speeds at own times within the motion."""
+class _Sampled(NamedTuple):
+    """Joints and their speeds at the instants ``step_s * (first + k)`` of the session that a motion has."""
+
+    first: int
+    own_s: Float[np.ndarray, " n"]
+    points: Float[np.ndarray, "n joints 2"]
+    speed: Float[np.ndarray, "n joints 2"]
+
+
+def _sampled(motion: BodyMotion, offset_s: float, drift: float, pivot_s: float, step_s: float) -> _Sampled:
+    begin_s, end_s = STEP_S * np.array([motion.first, motion.stop - 1]) * (1 + drift) + offset_s - drift * pivot_s
+    first = int(np.ceil(begin_s / step_s))
+    own_s = own_times_s(step_s * np.arange(first, np.floor(end_s / step_s) + 1), offset_s, drift, pivot_s)
     place = np.clip(own_s / STEP_S - motion.first, 0, len(motion.points) - 1)
     row = np.minimum(place.astype(np.int64), len(motion.points) - 2)
     share = (place - row)[:, None, None]
     points, speed = ((1 - share) * values[row] + share * values[row + 1] for values in (motion.points, motion.speed))
-    return points, speed
+    return _Sampled(first, own_s, points, speed)
 
 
 def _jacobian(rows: _Rows, pivot_s: float) -> Float[np.ndarray, "rows 4"]:

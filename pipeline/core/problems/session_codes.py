@@ -2,10 +2,7 @@
 
 from pipeline.core.problems.code_group import CodeGroup
 
-CALIBRATIONS = CodeGroup(
-    "Calibration",
-    "Formats and limits are in [formats](formats.md#calibration).",
-)
+CALIBRATIONS = CodeGroup("Calibration", "Formats and limits are in [formats](formats.md#calibration).")
 
 CALIBRATION_MISSING = CALIBRATIONS.code("calibration_missing", 422, "command")
 """There is no such file. | Check the path."""
@@ -93,10 +90,7 @@ UNSUPPORTED_LENS = CALIBRATIONS.code("unsupported_lens", 422, "command")
 distortion has a name that is not read. | Undistort the videos, or calibrate with the standard or the fisheye model;
 name the field as the format does."""
 
-VIDEOS = CodeGroup(
-    "Videos and cameras",
-    "Formats and limits are in [formats](formats.md#videos).",
-)
+VIDEOS = CodeGroup("Videos and cameras", "Formats and limits are in [formats](formats.md#videos).")
 
 IMAGES_ARCHIVE = VIDEOS.code("images_archive", 422, "command")
 """An archive of images is damaged, too large, or not of one camera. | Send a zip of the images of each camera; see
@@ -174,10 +168,7 @@ VIDEO_DAMAGED = VIDEOS.code("video_damaged", "job", "command")
 """Frames can't be decoded, or more than 10 % of the used frames are damaged. | Copy the file again, or cut the damaged
 part away."""
 
-KEYPOINTS = CodeGroup(
-    "Keypoints",
-    "Formats and limits are in [formats](formats.md#keypoints).",
-)
+KEYPOINTS = CodeGroup("Keypoints", "Formats and limits are in [formats](formats.md#keypoints).")
 
 KEYPOINTS_ARCHIVE = KEYPOINTS.code("keypoints_archive", 422, "command")
 """The archive is damaged or not allowed. | Send a zip of the files of keypoints of each camera."""
@@ -216,10 +207,7 @@ KEYPOINTS_SCORES = KEYPOINTS.code("keypoints_scores", 422, "command")
 TOO_MANY_PEOPLE = KEYPOINTS.code("too_many_people", 422, "command")
 """A frame has too many people. | Omit the people with low scores."""
 
-TIMES = CodeGroup(
-    "Times of frames",
-    "Limits are in [formats](formats.md#limits-of-the-clock).",
-)
+TIMES = CodeGroup("Times of frames", "Limits are in [formats](formats.md#limits-of-the-clock).")
 
 FRAME_RATE = TIMES.code("frame_rate", 422, "command")
 """A frame rate is too low or too high. | State the true frame rate."""

@@ -4,6 +4,7 @@ Compiled code is cached on disk, in a folder for each version of the kernels' so
 in functions that a kernel calls from another file. ``python -m pipeline.run.warm_up`` compiles all kernels.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -105,7 +106,7 @@ def record_dtype(*fields: tuple[Any, ...]) -> np.dtype:
 
 def zero_records(shape: int | tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     """Allocate records of zeros, each at the start of a cache line."""
-    num_bytes = int(np.prod(shape)) * dtype.itemsize
+    num_bytes = (shape if isinstance(shape, int) else math.prod(shape)) * dtype.itemsize
     raw = np.zeros(num_bytes + _CACHE_LINE, np.uint8)
     start = -raw.ctypes.data % _CACHE_LINE
     return raw[start : start + num_bytes].view(dtype).reshape(shape)

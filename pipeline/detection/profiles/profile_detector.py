@@ -102,15 +102,7 @@ def _by_confidence(*parts: ImageBodies) -> ImageBodies:
     )
 
 
-__all__ = [
-    "BodyDetector",
-    "load_detector",
-    "load_landmarks",
-    "load_own",
-    "open_detection",
-    "open_landmarks",
-    "sized",
-]
+__all__ = ["BodyDetector", "load_detector", "load_landmarks", "load_own", "open_detection", "open_landmarks", "sized"]
 
 _Key = TypeVar("_Key", bound=Hashable)
 _Value = TypeVar("_Value")

@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import fdtrc
 
-from pipeline.calibration.adjustment.parameters import FOCAL, NUM_PARAMETERS, ROTATION, linearise, move_camera
+from pipeline.calibration.adjustment import parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.geometry.camera import projection_matrices
 from pipeline.geometry.triangulation import triangulate
 from pipeline.geometry.undistortion import undistort_views
 
 # Parameters of a shift. A turn and a zoom need no unit of the world, and explain most of a change of position, too.
-_PARAMETERS = np.r_[ROTATION, FOCAL]
+_PARAMETERS = np.r_[parameters.ROTATION, parameters.FOCAL]
 # Degrees of freedom of Student's t, the distribution of residuals: a detector errs by much now and then.
 _TAIL = 4.0
 _POINT_STEPS, _SHIFT_STEPS = 5, 10
@@ -115,7 +115,9 @@ def find_shifted(
 
 
 def _corrected(cameras: Sequence[Camera], shift: CameraShift) -> list[Camera]:
-    return [move_camera(camera, shift.step) if k == shift.camera else camera for k, camera in enumerate(cameras)]
+    return [
+        parameters.move_camera(camera, shift.step) if k == shift.camera else camera for k, camera in enumerate(cameras)
+    ]
 
 
 def _total_gain(shifts: Sequence[CameraShift]) -> float:
@@ -175,13 +177,13 @@ def _views(
     used = np.zeros(shape, bool)
     px_per_m, error_m = np.ones(shape), np.full(shape[1], np.nan)
     for number, camera in enumerate(cameras):
-        projected = linearise(camera, xyz_m)
-        left_px = seen_px[:, number] - projected.points_px
+        projected_px, by_xyz = parameters.linearise_points(camera, xyz_m)
+        left_px = seen_px[:, number] - projected_px
         rows = np.flatnonzero(np.isfinite(left_px).all(-1))
         if not len(rows):
             continue
         used[rows, number] = True
-        residual_px[rows, number], by_point[rows, number] = left_px[rows], projected.by_point[rows]
+        residual_px[rows, number], by_point[rows, number] = left_px[rows], by_xyz[rows]
         px_per_m[rows, number] = np.linalg.norm(by_point[rows, number], axis=(-2, -1))
         error_m[number] = np.median(np.linalg.norm(left_px[rows], axis=-1) / px_per_m[rows, number])
     # The errors of a detector grow with the person in the picture. A camera that has its points to itself is no better
@@ -227,7 +229,7 @@ def _measured_shift(
     rows, covariance = rows[is_regular], np.linalg.inv(others[is_regular])
     # Without this camera the point is a Newton step away.
     gradient = views.all_gradient[rows] - views.gradient[rows, number]
-    projected = linearise(camera, xyz_m[rows] + (covariance @ gradient[..., None])[..., 0])
+    projected = parameters.linearise(camera, xyz_m[rows] + (covariance @ gradient[..., None])[..., 0])
     residual_px, by_shift = seen_px[rows] - projected.points_px, projected.by_camera[..., _PARAMETERS]
     is_known = np.isfinite(residual_px).all(-1)
     rows, covariance = rows[is_known], covariance[is_known]
@@ -241,12 +243,15 @@ def _measured_shift(
     least_px = _LEAST_ERROR * sigma_px
     step = np.zeros(len(_PARAMETERS))
     for _ in range(_SHIFT_STEPS):
-        precision = np.linalg.inv(spread_px2 + (sigma_px**2)[:, None, None] * np.eye(2))
+        # Inverses by Cramer's rule, much faster than NumPy's of small matrices.
+        (a, b), (_, c) = (spread_px2 + (sigma_px**2)[:, None, None] * np.eye(2)).transpose(1, 2, 0)
+        precision = np.moveaxis(np.array([[c, -b], [-b, a]]) / (a * c - b * b), -1, 0)
         left_px = residual_px - by_shift @ step
         squared = _squared(left_px, precision)
-        weighted = by_shift.swapaxes(-1, -2) @ precision * ((_TAIL + 2.0) / (_TAIL + squared))[:, None, None]
-        information = (weighted @ by_shift).sum(0)
-        scores = (weighted @ left_px[..., None])[..., 0]
+        weighted = precision @ by_shift * ((_TAIL + 2.0) / (_TAIL + squared))[:, None, None]
+        scores = (weighted * left_px[..., None]).sum(1)
+        # One product of all rows: NumPy computes a stack of small products one by one.
+        information = weighted.reshape(-1, len(step)).T @ by_shift.reshape(-1, len(step))
         step = step + np.linalg.solve(information, scores.sum(0))
         # Residuals that are smaller than the errors of the points tell nothing about the camera.
         sigma_px = np.maximum(sigma_px * np.sqrt(np.median(squared)) / _MEDIAN_LENGTH, least_px)
@@ -258,7 +263,7 @@ def _measured_shift(
     left_px = residual_px - by_shift @ step
     before, after = _squared(residual_px, precision), _squared(left_px, precision)
     shift_px = np.linalg.norm(by_shift @ step, axis=-1)
-    whole = np.zeros(NUM_PARAMETERS)
+    whole = np.zeros(parameters.NUM_PARAMETERS)
     whole[_PARAMETERS] = step
     return CameraShift(
         number,

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.integrate import cumulative_trapezoid
 
 from pipeline.core.data.animation import Floor, SkeletonMotion
 from pipeline.core.data.arrays import read_only
@@ -177,6 +176,8 @@ def _with_plates(
     mass_kg: float,
 ) -> FootForces:
     """Forces of the feet with the measured ones where a foot stands on a plate."""
+    from scipy.integrate import cumulative_trapezoid  # noqa: PLC0415 - slow to import, and seldom needed
+
     heels_m, toes_m = foot_marks(body, joints)
     middle_m = (heels_m + toes_m)[..., :2] / 2.0
     start_s = laboratory.start.time_s if laboratory.start else 0.0

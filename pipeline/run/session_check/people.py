@@ -97,14 +97,8 @@ def _check_anybody(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> 
             "another detector."
         )
         # A place may be empty at these instants, or all the time: an empty result is right then.
-        yield Finding(
-            finding_codes.NOBODY_DETECTED,
-            message,
-            None,
-            "warning",
-            hint,
-            {"people": counts, "num_instants": num_instants},
-        )
+        numbers = {"people": counts, "num_instants": num_instants}
+        yield Finding(finding_codes.NOBODY_DETECTED, message, None, "warning", hint, numbers)
         return
     for name in empty:
         message = f"No person was detected at {num_instants} instants, while other cameras see people."
@@ -122,17 +116,11 @@ def _check_copies(cameras: Sequence[Camera], sightings: SimultaneousPeople) -> I
         ]
         same = sum(left.shape == right.shape and np.array_equal(left, right, equal_nan=True) for left, right in pairs)
         if same >= _MIN_SAME and 2 * same > len(pairs):
-            first = cameras[left_camera].name
+            first, second = cameras[left_camera].name, cameras[right_camera].name
             message = f"The people are the same points as in {first}: one video or folder was given twice."
             evidence = {"other_camera": first, "num_same": same, "num_instants": len(pairs)}
-            yield Finding(
-                finding_codes.SAME_VIDEO,
-                message,
-                cameras[right_camera].name,
-                "error",
-                "Give each camera its own.",
-                evidence,
-            )
+            hint = "Give each camera its own."
+            yield Finding(finding_codes.SAME_VIDEO, message, second, "error", hint, evidence)
 
 
 def _exchanged(
@@ -147,18 +135,10 @@ def _exchanged(
     )
     severity = evidence.certainty(changed, given)
     for number in changed:
-        other = cameras[best.places[number]].name
-        message = (
-            f"The people in {cameras[number].name} fit the calibration of {other}: cameras or videos are exchanged."
-        )
-        yield Finding(
-            finding_codes.CAMERAS_EXCHANGED,
-            message,
-            cameras[number].name,
-            severity,
-            hint,
-            {"other_camera": other, **_disagreements(evidence, given, best, number)},
-        )
+        name, other = cameras[number].name, cameras[best.places[number]].name
+        message = f"The people in {name} fit the calibration of {other}: cameras or videos are exchanged."
+        numbers = {"other_camera": other, **_disagreements(evidence, given, best, number)}
+        yield Finding(finding_codes.CAMERAS_EXCHANGED, message, name, severity, hint, numbers)
 
 
 def _moved(

@@ -9,7 +9,6 @@ from pipeline.core.errors import UnusableError
 from pipeline.core.problems.session_codes import NO_FRAMES, VIDEO_CHANGES_SIZE
 from pipeline.video.frame_rate import uneven_times, without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
-from pipeline.video.images.frames import decode_images
 from pipeline.video.info import VideoInfo
 from pipeline.video.orientation import display_orientation, mirrored
 
@@ -25,6 +24,8 @@ def probe_images(path: Path) -> VideoInfo:
     with open_images(path) as images:
         pts = np.array(images.frames, np.int64)
     chosen = {*pts[:_NUM_DECODED].tolist(), int(pts[-1])}
+    from pipeline.video.images.frames import decode_images  # noqa: PLC0415 - loads FFmpeg, which only this needs
+
     frames = list(decode_images(path, chosen.__contains__))
     if not frames:
         raise UnusableError(NO_FRAMES, "No image can be decoded.", "Send JPEG, PNG, BMP or TIFF.")

@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import platformdirs
-from filelock import FileLock, Timeout
 
 from pipeline.core.errors import ModelError
 
@@ -47,6 +46,8 @@ def exclusive(target: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[None
     Raises ``ModelError`` if another process holds the lock for longer than ``timeout_s``, or the folder can't be
     written.
     """
+    from filelock import FileLock, Timeout  # noqa: PLC0415 - slow to import, and seldom needed
+
     with contextlib.ExitStack() as stack:
         with storage_errors():
             target.parent.mkdir(parents=True, exist_ok=True)

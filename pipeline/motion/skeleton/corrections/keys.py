@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.interpolate import PchipInterpolator
 
 from pipeline.core.options.edits import Correction, KeyJoint
 
@@ -52,6 +51,8 @@ def displacement_m(
 
     ``rows``: frames of the keys, ascending. ``is_measured``: whether the joint was measured.
     """
+    from scipy.interpolate import PchipInterpolator  # noqa: PLC0415 - slow to import, and seldom needed
+
     reach = reach_frames(frame_rate_hz)
     result = np.full((len(is_measured), 3), np.nan)
     kept = {row + step: np.zeros(3) for row in rows for step in _to_measured(is_measured, row, reach)}

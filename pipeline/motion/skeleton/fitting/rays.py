@@ -1,9 +1,10 @@
 """Energy of joint positions from the rays of all views in a window of frames."""
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from pipeline.core.data.cameras import Camera
 from pipeline.core.joints import JointSet
@@ -97,25 +98,25 @@ class Rays:
 
     def exchange_sides(self, xyz_m: Float[np.ndarray, "frames joints 3"], scale_m: float) -> None:
         """Exchange the left and right limb of a view in frames in which they clearly fit better when exchanged."""
+
+        @cache
+        def lost(joint: int, ray: int) -> Float[np.ndarray, "frames cameras"]:
+            off_m2 = self._off_m2(ray, xyz_m[:, joint])
+            return np.nan_to_num(self._weight[:, :, ray] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m**2))
+
         for left, right in self._pairs:
-            exchanged = self._fit_exchanged(xyz_m, left, right, scale_m**2)
-            for seen in (self._rays, self._weight):
-                swapped = seen[:, :, [*right, *left]]
-                here = exchanged.reshape(*exchanged.shape, *(1,) * (seen.ndim - 2))
-                seen[:, :, [*left, *right]] = np.where(here, swapped, seen[:, :, [*left, *right]])
-
-    def _fit_exchanged(
-        self, xyz_m: Float[np.ndarray, "frames joints 3"], left: list[int], right: list[int], scale_m2: float
-    ) -> Bool[np.ndarray, "frames cameras"]:
-        def cost(fitted: list[int], seen_as: list[int]) -> Float[np.ndarray, "frames cameras"]:
-            off_m2 = np.stack(
-                [self._off_m2(ray, xyz_m[:, joint]) for joint, ray in zip(fitted, seen_as, strict=True)], -1
+            both, other_way = [*left, *right], [*right, *left]
+            kept, other = (
+                np.stack([lost(*pair) for pair in zip(both, seen_as, strict=True)], -1).sum(-1)
+                for seen_as in (both, other_way)
             )
-            lost = self._weight[:, :, seen_as] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m2)
-            return np.asarray(np.nan_to_num(lost).sum(-1))
-
-        both, other_way = [*left, *right], [*right, *left]
-        return cost(both, both) - cost(both, other_way) > _CLEARLY
+            exchanged = kept - other > _CLEARLY
+            if not exchanged.any():
+                continue
+            lost.cache_clear()
+            for seen in (self._rays, self._weight):
+                here = exchanged.reshape(*exchanged.shape, *(1,) * (seen.ndim - 2))
+                seen[:, :, both] = np.where(here, seen[:, :, other_way], seen[:, :, both])
 
     def _off_m2(self, joint: int, xyz_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames cameras"]:
         """Squared distances of positions to the rays of a joint."""
