@@ -20,8 +20,6 @@ _MAX_DAMPING, _MIN_DAMPING = 1e10, 1e-12
 _SMALL_DECREASE, _SMALL_CHANGE = 1e-9, 1e-3
 # Directions with less information than this share of a parameter's own are undetermined.
 _UNDETERMINED = 1e-11
-# Least information on an extrinsic parameter of a camera that holds the world, in units of the prior's.
-_MIN_INFORMATION = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,32 +170,6 @@ def camera_sigma(problem: AdjustmentProblem, state: State, sigma_px: float) -> p
     is_open = (vectors[:, ~is_known] ** 2).sum(1) > np.sqrt(_UNDETERMINED)
     of_parameters = np.where(is_open, np.inf, np.sqrt(variance))
     sigma[problem.free] = of_parameters[~is_delay(problem, state)]
-    return read_only(sigma)
-
-
-def sigma_in_held_world(problem: AdjustmentProblem, adjusted: Adjustment) -> parameters.Parameters:
-    """Compute standard deviations of the cameras' parameters with the world's position, orientation and scale held.
-
-    For a problem in which all extrinsics are free and only priors hold the world: the seven directions in which the
-    world may move are left out, in the metric of the priors (inner constraints; Triggs et al. 2000, section 9). With
-    other free parameters these are the standard deviations of the adjustment. All free parameters need priors.
-    """
-    free, cameras = problem.free, adjusted.cameras
-    if not free[:, parameters.EXTRINSICS].all():
-        return adjusted.sigma
-    state = adjusted.state
-    scale = problem.prior_sigma[free]
-    normal = scale[:, None] * build(problem, state, adjusted.sigma_px).reduced() * scale
-    information = np.zeros(free.shape)
-    information[free] = np.diag(normal)
-    # Cameras that see hardly anything do not hold the world.
-    holds_world = information[:, parameters.EXTRINSICS].min(-1) > _MIN_INFORMATION
-    moves = (parameters.world_moves(cameras) * holds_world[:, None, None])[free] / scale[:, None]
-    left, values, _ = np.linalg.svd(moves)
-    basis = left[:, int((values > 1e-9 * values.max(initial=1e-9)).sum()) :]
-    covariance = basis @ np.linalg.inv(basis.T @ normal @ basis) @ basis.T
-    sigma = np.zeros(free.shape)
-    sigma[free] = scale * np.sqrt(np.diag(covariance))
     return read_only(sigma)
 
 

@@ -5,6 +5,7 @@ that the other cameras triangulate. A bump is a step of these angles.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ def find_steps(cameras: Sequence[Camera], sightings: JointSightings) -> list[Ste
 def _find_step(number: int, cameras: Sequence[Camera], sightings: JointSightings) -> Step | None:
     others_px = sightings.points_px.copy()
     others_px[:, number] = np.nan
-    xyz_m = JointSightings(sightings.time_s, others_px).triangulated(cameras)
+    xyz_m = replace(sightings, points_px=others_px).triangulated(cameras)
     projected_px, by_camera, _ = linearise(cameras[number], xyz_m)
     residual_px = sightings.points_px[:, number] - projected_px
     used = np.isfinite(residual_px).all(-1)

@@ -1,7 +1,7 @@
 """Sightings: joints of people in several cameras, chosen all over the take and the volume."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,8 +12,8 @@ from pipeline.core.data.people import People, Poses3D
 from pipeline.core.joints import FINGER_JOINTS, JointSet
 from pipeline.geometry.tracks import triangulate_instants
 
-MAX_POINTS = 8000
-"""Largest number of points; more take longer and hardly move the cameras."""
+MAX_POINTS = 3000
+"""Largest number of points; more take longer and hardly move the cameras: errors of a detector last."""
 
 _MIN_SCORE = 0.3
 _STEP_S, _MIN_INSTANTS = 0.1, 50
@@ -27,27 +27,25 @@ class JointSightings:
     time_s: Float[np.ndarray, " points"]  # Time of each point on the session's clock
     # Distorted pixels of the full image; NaN where a camera does not see the point
     points_px: Float[np.ndarray, "points cameras 2"]
+    # Number of the joint, and of the square of the floor on which the person is
+    joint: Int[np.ndarray, " points"]
+    square: Int[np.ndarray, " points"]
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def subset(self, chosen: Bool[np.ndarray, " points"]) -> "JointSightings":
         """Select points."""
-        return JointSightings(self.time_s[chosen], self.points_px[chosen])
+        return JointSightings(self.time_s[chosen], self.points_px[chosen], self.joint[chosen], self.square[chosen])
 
     def triangulated(self, cameras: Sequence[Camera]) -> Float[np.ndarray, "points 3"]:
         """World coordinates; NaN where fewer than two cameras see the point, or all rays are parallel."""
         return triangulate_instants(cameras, self.points_px[:, :, None])[:, 0]
 
-    def thinned(self, max_points: int) -> "JointSightings":
-        """Select every n-th point, so that at most so many are left."""
-        step = -(-len(self) // max_points)
-        return self if step <= 1 else self.subset(np.arange(len(self)) % step == 0)
-
     def without(self, hidden: Bool[np.ndarray, "points cameras"]) -> "JointSightings":
         """Leave out views, and the points that fewer than two cameras see then."""
         points_px = np.where(hidden[..., None], np.nan, self.points_px)
-        return JointSightings(self.time_s, read_only(points_px)).subset(_is_seen(points_px).sum(-1) >= 2)
+        return replace(self, points_px=read_only(points_px)).subset(_is_seen(points_px).sum(-1) >= 2)
 
 
 def choose_sightings(
@@ -63,14 +61,19 @@ def choose_sightings(
     parts = [_usable(some, index) for some in poses]
     if sum(len(frame) for frame, _, _ in parts) == 0:
         num_cameras = parts[0][2].shape[2] if parts else 0
-        return JointSightings(np.empty(0), np.empty((0, num_cameras, 2)))
+        none = np.empty(0, np.int64)
+        return JointSightings(np.empty(0), np.empty((0, num_cameras, 2)), none, none)
     frame, cell, points_px = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     order = np.argsort(frame, kind="stable")
     chosen = order[_spread(cell[order], max_points // len(index))]
     is_point = _is_seen(points_px[chosen]).sum(-1) >= 2
     time_s = timebase.start_time_s + frame[chosen] / timebase.frame_rate_hz
+    square = np.unique(cell[chosen], axis=0, return_inverse=True)[1].reshape(-1)
     return JointSightings(
-        read_only(np.repeat(time_s, is_point.sum(-1))), read_only(np.ascontiguousarray(points_px[chosen][is_point]))
+        read_only(np.repeat(time_s, is_point.sum(-1))),
+        read_only(np.ascontiguousarray(points_px[chosen][is_point])),
+        read_only(np.nonzero(is_point)[1]),
+        read_only(np.repeat(square, is_point.sum(-1))),
     )
 
 

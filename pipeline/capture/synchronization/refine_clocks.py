@@ -25,8 +25,9 @@ _CONVERGED_S = 2e-5
 _ERROR_LASTS_S, _BLOCK_S = 0.8, 1.0
 # Standard deviation of the constant error of a joint, in tolerances.
 _CONSTANT_SIGMA = 2.0
-# Errors beyond so many standard deviations lose weight.
-_ROBUST = 2.0
+# Errors beyond so many standard deviations lose weight. Joints that a detector marks wrongly while they move would be
+# taken for offsets; what they weigh less is in the covariance.
+_ROBUST = 0.7
 # Standard deviation of rates before anything is measured: clocks of cameras differ by some 10 to 100 ppm.
 _RATE_SIGMA = 3e-4
 

@@ -121,7 +121,7 @@ class Refinement:
     """Report of the refinement of a calibration."""
 
     refined: bool  # True if refined cameras took the place of the given ones
-    # Median reprojection error with the given and with refined cameras, cross-validated over time; NaN without people
+    # Median reprojection error with the given and with refined cameras; NaN without people
     error_before_px: float
     error_after_px: float
     num_points: int  # Number of joints that the cameras were compared with

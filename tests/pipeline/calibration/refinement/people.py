@@ -51,4 +51,5 @@ def see(
     points_px += rng.normal(0.0, noise_px, points_px.shape)
     is_wrong = rng.random(points_px.shape[:2]) < 0.05
     points_px += np.where(is_wrong[..., None], rng.normal(0.0, 40.0, points_px.shape), 0.0)
-    return JointSightings(time_s, points_px)
+    square = np.unique(np.floor(points_m[:, :2] / 0.5), axis=0, return_inverse=True)[1].reshape(-1)
+    return JointSightings(time_s, points_px, np.arange(len(points_m)) % len(BODY_M), square)

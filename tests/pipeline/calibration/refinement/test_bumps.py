@@ -1,5 +1,7 @@
 """Cameras that are moved in the middle of a take."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ def bumped(camera: int, bump_s: float, num_cameras: int = 4) -> JointSightings:
     after = tuple(move_camera(one, STEP) if k == camera else one for k, one in enumerate(before))
     early, late = see(before, time_s, points_m), see(after, time_s, points_m)
     is_late = (time_s >= bump_s)[:, None, None]
-    return JointSightings(time_s, np.where(is_late, late.points_px, early.points_px))
+    return replace(early, points_px=np.where(is_late, late.points_px, early.points_px))
 
 
 @pytest.mark.slow
