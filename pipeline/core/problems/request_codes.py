@@ -2,10 +2,7 @@
 
 from pipeline.core.problems.code_group import CodeGroup
 
-ANSWERS = CodeGroup(
-    "Responses of the API",
-    "Values of `code` in responses of type `application/problem+json`.",
-)
+ANSWERS = CodeGroup("Responses of the API", "Values of `code` in responses of type `application/problem+json`.")
 
 MALFORMED_REQUEST = ANSWERS.code("malformed_request", 400)
 """The request can't be read. | Correct the client."""
@@ -256,10 +253,7 @@ FRAMES_TOO_LARGE = PARTS.code("frames_too_large", 422)
 """The video's frames have more pixels than the operator allows. | Lower the resolution of the video, and calibrate at
 that size."""
 
-SPECS = CodeGroup(
-    "Spec of a job",
-    "Values of `code` in `errors`, also for the options of `multicap reconstruct`.",
-)
+SPECS = CodeGroup("Spec of a job", "Values of `code` in `errors`, also for the options of `multicap reconstruct`.")
 
 FRAME_RANGE = SPECS.code("frame_range", 422, "command")
 """The session does not have these output frames. | Use frames of the session."""
@@ -354,8 +348,7 @@ RECORDING_LINK_ENDED = RECORDINGS.code("recording_link_ended", "recording")
 """The link or the key of the connection is no longer valid. | Open the newest link, or sign in again."""
 
 EDITS = CodeGroup(
-    "Edits of people",
-    "Values of `code` in `errors` of `PUT /v1/sessions/{id}/edits`; `pointer` leads to the edit.",
+    "Edits of people", "Values of `code` in `errors` of `PUT /v1/sessions/{id}/edits`; `pointer` leads to the edit."
 )
 
 EDIT_IMPOSSIBLE = EDITS.code("edit_impossible", 422)

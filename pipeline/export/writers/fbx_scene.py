@@ -14,16 +14,7 @@ from unicodedata import category
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from pipeline.export.writers.fbx_nodes import (
-    CREATED,
-    FILE_ID,
-    ArrayProperty,
-    Int64,
-    Node,
-    Property,
-    array,
-    late_array,
-)
+from pipeline.export.writers.fbx_nodes import CREATED, FILE_ID, ArrayProperty, Int64, Node, Property, array, late_array
 
 TICKS_PER_S = 46_186_158_000
 """Units of time in a second."""
