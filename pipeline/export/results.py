@@ -313,12 +313,15 @@ def _tables(take: Reconstruction, folder: Path) -> Iterator[tuple[Path, list[byt
 
 
 def _loads(person: person_files.PersonOfTake, folder: Path) -> Iterator[tuple[Path, list[bytes]]]:
-    """Path and content of the files with external loads for OpenSim."""
+    """Path and content of the files with external loads for OpenSim, and of the forces over strides."""
     forces = person.forces()
     if forces is not None:
         path = folder / f"person-{person.track.track_id}.forces.mot"
         yield path, list(force_tables.external_loads(forces, person.timebase, person.frames, path.name))
         yield path.with_suffix(".xml"), [force_tables.external_loads_setup(path.name, forces.mass)]
+        strides = analyse_gait(person.track, person.joints, person.timebase.frame_rate_hz).strides
+        if (cycles := force_tables.cycle_table(forces, strides)) is not None:
+            yield folder / f"person-{person.track.track_id}.force_cycles.csv", [cycles]
 
 
 def _object_files(

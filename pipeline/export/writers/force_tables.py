@@ -10,7 +10,7 @@ them to the feet. OpenSim stops without a word at a number that is unknown, and 
 file in straight lines: numbers are 0 without contact, and the file has all frames of the take.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import numpy as np
@@ -21,9 +21,11 @@ from pipeline.core.joints import SIDES
 from pipeline.export.timelines import fixed, frame_blocks, unknown_outside
 from pipeline.export.writers.angle_tables import read_csv
 from pipeline.export.writers.registry import Expected, PersonContent, Writer
+from pipeline.motion.angles.compute import NUM_POINTS, normalised_cycles
 from pipeline.motion.forces.body_mass import BodyMass
 from pipeline.motion.forces.joint_moments import MOMENT_NAMES, POWER_NAMES
 from pipeline.motion.forces.person_forces import PersonForces
+from pipeline.motion.gait.strides import Stride
 
 _DECIMALS = 4
 _AXES = "xyz"
@@ -90,6 +92,31 @@ def _frames(person: PersonContent) -> range:
 
 
 CSV = Writer(_encode, lambda path, _: read_csv(path), _expected, frames=_frames)
+
+
+def cycle_table(forces: PersonForces, strides: Sequence[Stride]) -> bytes | None:
+    """CSV file of forces over steady strides, for each kilogram: mean and standard deviation at 0 to 100 percent.
+
+    Strides go from a foot strike to the next one of the same foot. ``None`` without steady strides.
+    """
+    columns: dict[str, Float[np.ndarray, " points"]] = {}
+    for number, side in enumerate(SIDES):
+        lines = {f"{side}_force_z_n_kg": forces.feet.force[:, number, 2]}
+        moments, powers = ((name, k) for k, name in enumerate(MOMENT_NAMES)), enumerate(POWER_NAMES)
+        lines |= {f"{name}_nm_kg": forces.joints.moment[:, k] for name, k in moments if name.startswith(side)}
+        lines |= {f"{name}_w_kg": forces.joints.power[:, k] for k, name in powers if name.startswith(side)}
+        spans = [(of.strike_row, of.next_row) for of in strides if of.side == side and of.is_steady]
+        for name, line in lines.items():
+            cycles = normalised_cycles(line, spans)
+            if len(cycles):
+                std = cycles.std(0, ddof=1) if len(cycles) > 1 else np.full(NUM_POINTS, np.nan)
+                num = np.full(NUM_POINTS, float(len(cycles)))
+                columns |= {f"{name}_mean": cycles.mean(0), f"{name}_std": std, f"{name}_strides": num}
+    if not columns:
+        return None
+    cells = fixed(np.stack(list(columns.values()), axis=1), _DECIMALS, ",")
+    lines_of_file = [",".join(["percent", *columns]), *(f"{percent},{row}" for percent, row in enumerate(cells))]
+    return "".join(f"{line}\r\n" for line in lines_of_file).replace("nan", "").encode("ascii")
 
 
 def external_loads(forces: PersonForces, timebase: Timebase, frames: range, file_name: str) -> Iterator[bytes]:

@@ -22,7 +22,7 @@ export const TAKE = {
     calibration: "Refined calibration, JSON",
     character: "Bones of the character, JSON",
   },
-  kindsOfPerson: { events: "Foot strikes, foot offs and jumps, CSV", strides: "Strides and their figures, CSV", balance: "Centre of mass and balance, CSV" },
+  kindsOfPerson: { events: "Foot strikes, foot offs and jumps, CSV", strides: "Strides and their figures, CSV", balance: "Centre of mass and balance, CSV", force_cycles: "Forces over strides, CSV" },
   characterMotion: "Your character in motion",
   inScene: (format) => `${format}, one scene with cameras and floor`,
   formatFor: (format, application) => `${format} for ${application}`,

@@ -16,7 +16,7 @@ from pipeline.export.timelines import read_rows
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.forces.physical_people import truth_of
-from tests.pipeline.motion.gait.walks import exercise
+from tests.pipeline.motion.gait.walks import exercise, gait_of, walk
 
 ACT = exercise(Gesture.SQUAT)
 MASS_KG = 70.0
@@ -139,3 +139,26 @@ def test_c3d_without_forces_has_no_plates(with_plates: Path) -> None:
     read = ezc3d.c3d(str(with_plates / "alone" / "person-1.c3d"))
     assert "FORCE_PLATFORM" not in read["parameters"] or not read["parameters"]["FORCE_PLATFORM"]["USED"]["value"][0]
     assert read["data"]["analogs"].shape[1] == 0
+
+
+def test_cycles_are_means_over_steady_strides(tmp_path: Path) -> None:
+    act = walk(1.2)
+    session = SessionMaker.from_points(truth_of(act).xyz_m, act.joints.names, act.rate_hz, "m")
+    reconstruct_to_files(session, tmp_path, ReconstructionConfig(exports=("forces",), mass_kg=MASS_KG))
+    rows = rows_of(tmp_path / "person-1.force_cycles.csv")
+    assert [row["percent"] for row in rows] == [str(percent) for percent in range(101)]
+    frames = rows_of(tmp_path / "person-1.forces.csv")
+    steady = [stride for stride in gait_of(act).strides if stride.is_steady]
+    for side in ("left", "right"):
+        spans = [(stride.strike_row, stride.next_row) for stride in steady if stride.side == side]
+        assert {row[f"{side}_force_z_n_kg_strides"] for row in rows} == {f"{len(spans):.4f}"}
+        force = np.array([float(row[f"{side}_force_z_n"]) for row in frames]) / MASS_KG
+        expected = [np.interp(np.linspace(*span, 101), np.arange(len(force)), force) for span in spans]
+        mean = [float(row[f"{side}_force_z_n_kg_mean"]) for row in rows]
+        # Strikes of the session's own fit differ by hundredths of a frame.
+        np.testing.assert_allclose(mean, np.mean(expected, axis=0), atol=0.4)
+    assert {"left_knee_flexion_nm_kg_mean", "right_hip_flexion_nm_kg_std", "left_ankle_w_kg_mean"} <= rows[0].keys()
+
+
+def test_people_without_steady_strides_have_no_cycles(folder: Path) -> None:
+    assert not list((folder / "massive").glob("*.force_cycles.csv"))
