@@ -219,7 +219,7 @@ class CameraRun:
         for feed in feeds:
             feed.start(start_s)
         pace = DetectionPace(len(feeds), start_s, rate_hz, every)
-        next_tick_s = start_s + _TICK_S
+        next_tick_s, counted = start_s + _TICK_S, (0, 0)
         while not self._is_stopped and not (len(self._over) == len(feeds) and not self._num_pending):
             try:
                 event = self._events.get(timeout=max(0.0, next_tick_s - time.monotonic()))
@@ -235,6 +235,10 @@ class CameraRun:
             if time.monotonic() >= next_tick_s:
                 next_tick_s += _TICK_S
                 self.totals.duration_s = time.monotonic() - start_s
+                before, counted = counted, self.totals.num_frames
+                if pace.judge(counted[0] - before[0], counted[1] - before[1]):
+                    which = "every frame" if pace.every == 1 else f"every {_ordinal(pace.every)} frame of each camera"
+                    self._listener.tell(f"By the speed of this machine, {which} is used from now on.")
                 self._listener.tick(self.totals)
         self.totals.duration_s = time.monotonic() - start_s
         if search.offsets_s is None:
@@ -322,8 +326,9 @@ class CameraRun:
             self._listener.tell(f"{totals.name} is lost: {problem.message}{again}")
 
     def _ask(self, feeds: Sequence[CameraFeed], pace: DetectionPace) -> None:
-        """Ask for pictures as long as people can be detected in them."""
-        while self._num_pending < self._max_pending:
+        """Ask for pictures as long as people can be detected in them; of a slot of several frames for all at once."""
+        max_pending = self._max_pending if pace.every == 1 else max(self._max_pending, len(feeds))
+        while self._num_pending < max_pending:
             free = [
                 number
                 for number, slots in enumerate(self._free)

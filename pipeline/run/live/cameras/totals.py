@@ -59,6 +59,11 @@ class LiveTotals:
     latencies: Latencies = field(default_factory=Latencies)
     outputs: list[OutputStatus] = field(default_factory=list)
 
+    @property
+    def num_frames(self) -> tuple[int, int]:
+        """Numbers of frames of all cameras that came, and that were detected."""
+        return sum(camera.decoded for camera in self.cameras), sum(camera.detected for camera in self.cameras)
+
     def document(self) -> dict[str, Any]:
         """Totals as values of JSON."""
         return {
