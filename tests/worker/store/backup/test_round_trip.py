@@ -140,11 +140,12 @@ def test_uploads_that_grow_are_kept_as_far_as_they_were(data: Data, tmp_path: Pa
 
 
 MEASURE = """
-import resource, sys; from pathlib import Path
+import sys; from pathlib import Path; import psutil
+from tests.api.processes import peak_bytes
 from tests.worker.store.backups import ignore, opened_data, restored
 from worker.store.backup.restore import verify_backup
 folder = Path(sys.argv[1])
-def peak_mib(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def peak_mib(): return peak_bytes(psutil.Process()) / 2**20
 def go(name):
     with opened_data(folder / name) as data: assert data.back_up(folder / f"{name}.tar").problems == ()
     assert verify_backup(folder / f"{name}.tar", ignore).faults == ()
