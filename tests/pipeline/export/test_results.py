@@ -60,8 +60,8 @@ def test_every_file_reports_progress(tmp_path: Path) -> None:
     done: list[float] = []
     write_files(take(*people), tmp_path, EXPORTS, on_share=shares.append, on_file=lambda _: done.append(shares[-1]))
     assert shares == sorted(shares)
-    # The tables of balance, one a person, are written at once.
-    assert len(set(done)) + 1 == len(done) == 4 + len(OF_TAKE) + 2 * len(EXPORTS)
+    # The tables of balance, one a person, are written at once; files for OpenSim, two a person, with the forces.
+    assert len(set(done)) + 5 == len(done) == 8 + len(OF_TAKE) + 2 * len(EXPORTS)
     assert done[-1] == 1.0
 
 
@@ -80,12 +80,14 @@ def test_every_file_reports_progress(tmp_path: Path) -> None:
 def test_odd_takes_leave_valid_files(xyz_m: np.ndarray, rate_hz: float, tmp_path: Path) -> None:
     short = take(track_of(xyz_m), rate_hz=rate_hz, num_frames=len(xyz_m))
     paths = write_results(short, tmp_path, EXPORTS)
+    has_forces = len(xyz_m) >= 12 and np.isfinite(xyz_m).all()
     assert {path.name for path in paths} == {
         "skeletons.json",
         "metrics.json",
         "person-1.balance.csv",
         *(f"person-1.{file_ending(export)}" for export in EXPORTS),
         *OF_TAKE,
+        *(f"person-1.forces.{ending}" for ending in ("mot", "xml") if has_forces),
     }
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in paths}
     assert paths[-1].name == "metrics.json"
@@ -218,7 +220,7 @@ def test_metrics_name_joint_and_frame_of_worst_interpolation(tmp_path: Path) -> 
     motions = (tumbling(), replace(tumbling(), track_id=2, start_frame=30, root_m=tumbling().root_m + 3.0))
     tracks = tuple(replace(track_of(walker(60)), track_id=number) for number in (1, 2))
     people = replace(alone, animation=replace(alone.animation, tracks=tracks, motions=motions))
-    write_files(people, tmp_path, only_bvh, preset="unity-humanoid", report=lambda _: {})
+    write_files(people, tmp_path, only_bvh, preset="unity-humanoid", report=lambda _: {"capture_checks": []})
     between = json.loads((tmp_path / "metrics.json").read_bytes())["exports"]["bvh"]["between_frames"]
     assert 2.0 < between["max_distance_mm"] < 3.0
     assert (between["program"], between["person"], between["joint"]) == ("Blender", 1, "LeftUpLeg")
