@@ -17,7 +17,7 @@ from pipeline.calibration.adjustment.parameters import FOCAL, POSITION, ROTATION
 from pipeline.calibration.adjustment.problem import AdjustmentProblem, FreePoints
 from pipeline.calibration.refinement.sightings import JointSightings
 
-# Least rise of the logarithm of the marginal likelihood: e^4 is 55 times.
+# Least rise of the logarithm of the marginal likelihood: e^4 is 55 times; chosen.
 _MIN_GAIN = 4.0
 # First standard deviations: radians, metres, and of logarithms of focal lengths. Focal lengths come last: they move
 # cameras along their axes by centimetres.
@@ -27,12 +27,12 @@ _NUM_STEPS = 100
 # Degrees of freedom of Student's t: one camera may be off by far more than the others.
 _FREEDOM = 3.0
 # Standard deviations by which a detector marks a joint beside its place in all pictures of a camera, whoever it is, and
-# in those of a person in one place. Cameras absorb these errors, so residuals don't tell them: measured on rendered
-# people.
+# in those of a person in one place. Cameras absorb these errors, so residuals don't tell them: chosen by trial on three
+# rendered clips, so that exact cameras stay and others come back (docs/lab/calibration-notes.md).
 _JOINT_BIAS_M, _SUBJECT_BIAS_M = 0.03, 0.02
-# Time for which other errors of a detector last.
+# Time for which other errors of a detector last; chosen.
 _LASTING_S = 1.0
-# Largest standard deviation of a rotation that people determine.
+# Largest standard deviation of a rotation that people determine; chosen.
 _MAX_SIGMA_RAD = np.radians(0.5)
 
 
@@ -40,7 +40,7 @@ _MAX_SIGMA_RAD = np.radians(0.5)
 class Evidence:
     """Evidence on given cameras."""
 
-    steps: Parameters  # Steps from the given cameras that fit best, believed or not
+    steps: Parameters  # Expected steps from the given cameras, whether these are off or not
     is_off: bool  # True if the likelihood says that the cameras are off
     is_determined: bool  # True if people determine the rotation of a camera
 

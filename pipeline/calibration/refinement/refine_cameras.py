@@ -1,4 +1,4 @@
-"""Refine a given calibration: rotations, positions and focal lengths, as far as the sightings say that they are off."""
+"""Refine a given calibration: rotations, positions and focal lengths, as far as there is evidence in the sightings."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -73,10 +73,10 @@ class RefinedCameras:
 
     cameras: tuple[Camera, ...]  # Refined cameras in the given world; the given ones if there is a refusal
     refusal: Refusal | None  # Reason to keep the given cameras; ``None``: the cameras are refined ones
-    # Moves from the given cameras to the cameras that people speak for, refused or not, of the cameras that see people;
-    # the largest move in a camera's own picture first. Empty if the people don't tell.
+    # Moves from the given cameras to the expected ones, refused or not, of the cameras that see people; the largest
+    # move in a camera's own picture first. Empty if the people determine no camera.
     moves: tuple[CameraMove, ...]
-    # Median reprojection error of the given cameras, and of the cameras that people speak for; NaN without sightings
+    # Median reprojection error of the given and of the expected cameras; NaN without sightings
     error_before_px: float
     error_after_px: float
     steps: tuple[Step, ...]  # Cameras that were moved in the middle of the take
@@ -91,7 +91,7 @@ class RefinedCameras:
 def refine(given: Sequence[Camera], start: Sequence[Camera], sightings: JointSightings) -> RefinedCameras:
     """Refine cameras from sightings of people.
 
-    Cameras move if the people say that the given ones are off, and no further than the people say. ``given`` are the
+    Cameras move if there is evidence that the given ones are off, each to its expected place. ``given`` are the
     cameras as calibrated. The search begins with ``start``: the given ones, or an earlier refinement's.
     """
     unchanged = RefinedCameras(tuple(given), "few_people", (), np.nan, np.nan, (), len(sightings))

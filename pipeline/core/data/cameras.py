@@ -14,8 +14,8 @@ LensModel = Literal["standard", "fisheye"]
 """OpenCV's distortion models: of ``calib3d``, and of its module ``fisheye`` (Kannala and Brandt)."""
 
 Refusal = Literal["few_people", "undetermined", "no_better"]
-"""Why a calibration was not refined: the joints that cameras share are too few, they determine no camera, or cameras
-that fit them lower the error by less than a quarter."""
+"""Why a calibration was not refined: the joints that cameras share are too few, they determine no camera, or errors
+of the detector explain how they move the cameras."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,8 +132,8 @@ class Refinement:
     # Move of the world, in which all cameras moved alike; ``None`` if the world is the given one
     world: WorldMove | None = None
     refusal: Refusal | None = None  # Why the given cameras were kept; ``None`` if they were refined
-    # Largest move in a camera's own picture to the cameras that fit the people best, whether these were taken or not;
-    # ``None`` if the people don't tell
+    # Largest move in a camera's own picture to the expected cameras, whether these were taken or not; ``None`` if the
+    # people determine no camera
     most_moved: CameraMove | None = None
 
     @property

@@ -80,7 +80,7 @@ JointCenters = (
 )
 RefineCalibration = (
     Annotated[Literal["off"], Value("Off")]
-    | Annotated[Literal["auto"], Value("Where it helps", note="Only if the error drops by more than a quarter.")]
+    | Annotated[Literal["auto"], Value("Where it helps", note="Only where people show that cameras are off.")]
 )
 Sync = (
     Annotated[Literal["declared"], Value("Times of the files")]

@@ -413,7 +413,7 @@ def _why_kept(refinement: Refinement, before: str, after: str) -> str:
         return f"The people, at {before}, determine no camera: let them walk all over the place, for a minute."
     most = refinement.most_moved
     return (
-        f"Cameras that people speak for change the error from {before} to {after}, as errors of a detector may do. "
+        f"Cameras that fit the people change the error from {before} to {after}, as errors of a detector may, too. "
         f"{most.camera} would move most, by {most.moved_px:.1f} px in its picture ({most.rotation_deg:.1f} degrees)."
     )
 
