@@ -31,9 +31,12 @@ _OVER_STRIDES = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion")
 _WIDTH, _HEIGHT, _LEFT, _BOTTOM, _TOP = 360, 130, 34, 16, 6
 # Largest number of points of a line: a pixel of the plot has one.
 _MAX_POINTS = _WIDTH - _LEFT
-_LEAST_SPAN_DEG = 20.0
-# Distances of ticks: of other values, and of angles.
-_STEPS = (10, 20, 50, 100, 200, 500, 1000), (10, 20, 30, 45, 90, 180, 360)
+# Least span of a scale and distances of its ticks, by unit.
+_TICKS: Mapping[str, tuple[float, tuple[float, ...]]] = {
+    "°": (20.0, (10, 20, 30, 45, 90, 180, 360)),
+    "%": (20.0, (10, 20, 50, 100, 200, 500, 1000)),
+    "N m/kg": (0.5, (0.2, 0.5, 1, 2, 5, 10, 20)),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,29 +91,23 @@ def _gait(person: PersonAngles, column: Mapping[str, Float[np.ndarray, " frames"
         yield element("div", plots, class_="plots")
 
 
-def cycle_plot(title: str, cycles_deg: Mapping[str, Float[np.ndarray, "cycles points"]], unit: str = "°") -> Markup:
+def cycle_plot(title: str, cycles: Mapping[str, Float[np.ndarray, "cycles points"]], unit: str = "°") -> Markup:
     """Plot of the mean over cycles of each side, with a band of one standard deviation."""
-    known = {side: cycles for side, cycles in cycles_deg.items() if len(cycles)}
-    mean = {side: cycles.mean(0) for side, cycles in known.items()}
-    std = {
-        side: cycles.std(0, ddof=1) if len(cycles) > 1 else np.zeros(cycles.shape[1]) for side, cycles in known.items()
-    }
+    known = {side: values for side, values in cycles.items() if len(values)}
+    mean = {side: values.mean(0) for side, values in known.items()}
+    std = {side: values.std(0, ddof=1) if len(values) > 1 else np.zeros(NUM_POINTS) for side, values in known.items()}
     edges = {side: (mean[side] - std[side], mean[side] + std[side]) for side in known}
-    scale = _Scale.fit(np.concatenate([edge for both in edges.values() for edge in both]))
+    scale = _Scale.fit(np.concatenate([edge for both in edges.values() for edge in both]), unit)
     across = _LEFT + np.linspace(0.0, 1.0, NUM_POINTS) * (_WIDTH - _LEFT)
     drawn = []
     for side, (low, high) in edges.items():
-        outline = [*zip(across, scale.y(low), strict=True), *zip(across[::-1], scale.y(high)[::-1], strict=True)]
-        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in outline)
-        drawn += [
-            element("polygon", points=points, class_=side),
-            element("path", d=_line(across, scale.y(mean[side])), class_=side),
-        ]
+        band = _band(across, scale.y(low), scale.y(high), side)
+        drawn += [band, element("path", d=_line(across, scale.y(mean[side])), class_=side)]
     words = {
-        side: f"{side}, {len(cycles)} {'stride' if len(cycles) == 1 else 'strides'}" for side, cycles in known.items()
+        side: f"{side}, {len(values)} {'stride' if len(values) == 1 else 'strides'}" for side, values in known.items()
     }
     label = f"{title} over a stride: {'; '.join(words.values())}"
-    return _figure(title, label, scale, ("0 %", "100 %"), drawn, words, unit)
+    return _figure(title, label, scale, ("0 %", "100 %"), drawn, words)
 
 
 def _table(person: PersonAngles) -> Markup:
@@ -147,88 +144,80 @@ def _range(found: Mapping[str, Any] | None) -> str:
 
 def plot(
     title: str,
-    lines_deg: Mapping[str, Float[np.ndarray, " frames"]],
+    lines: Mapping[str, Float[np.ndarray, " frames"]],
     start_frame: int,
     frame_rate_hz: float,
     unit: str = "°",
     bands: Mapping[str, Float[np.ndarray, " frames"]] | None = None,
 ) -> Markup:
-    """Plot of an angle of both sides over the frames of a person, with a gap where it is unknown.
+    """Plot of a value of both sides over the frames of a person, with a gap where it is unknown.
 
-    With another unit it is a plot of other values; ``bands`` are half widths of bands around the lines.
+    ``bands`` are half widths of bands around the lines.
     """
-    half = {side: np.zeros_like(line) for side, line in lines_deg.items()} if bands is None else bands
-    ends = [line + sign * half[side] for side, line in lines_deg.items() for sign in (-1.0, 1.0)]
-    known_deg = np.concatenate([end[np.isfinite(end)] for end in ends])
-    scale = _Scale.fit(known_deg)
-    num_frames = len(next(iter(lines_deg.values())))
+    half = {side: np.zeros_like(line) for side, line in lines.items()} if bands is None else bands
+    ends = [line + sign * half[side] for side, line in lines.items() for sign in (-1.0, 1.0)]
+    known = np.concatenate([end[np.isfinite(end)] for end in ends])
+    scale = _Scale.fit(known, unit)
+    num_frames = len(next(iter(lines.values())))
     # Thinned out to the pixels of the plot.
     rows = np.unique(np.linspace(0, num_frames - 1, min(num_frames, _MAX_POINTS)).round().astype(int))
     across = _LEFT + rows / max(num_frames - 1, 1) * (_WIDTH - _LEFT)
     start_s, end_s = start_frame / frame_rate_hz, (start_frame + max(num_frames - 1, 1)) / frame_rate_hz
     drawn = []
-    for side, line in lines_deg.items():
+    for side, line in lines.items():
         for first, stop in find_runs(np.isfinite(line[rows])) if bands is not None else ():
             places = rows[first:stop]
             low, high = (scale.y(line[places] + sign * half[side][places]) for sign in (-1.0, 1.0))
-            outline = [
-                *zip(across[first:stop], low, strict=True),
-                *zip(across[first:stop][::-1], high[::-1], strict=True),
-            ]
-            drawn.append(element("polygon", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in outline), class_=side))
-    drawn += [element("path", d=_line(across, scale.y(line[rows])), class_=side) for side, line in lines_deg.items()]
+            drawn.append(_band(across[first:stop], low, high, side))
+    drawn += [element("path", d=_line(across, scale.y(line[rows])), class_=side) for side, line in lines.items()]
     of_unit = "degrees" if unit == "°" else unit
-    label = f"{title} from {known_deg.min():.0f} to {known_deg.max():.0f} {of_unit}, left and right"
+    label = f"{title} from {known.min():.0f} to {known.max():.0f} {of_unit}, left and right"
     times = f"{start_s:.1f} s", f"{end_s:.1f} s"
-    return _figure(title, label, scale, times, drawn, {side: side for side in lines_deg}, unit)
+    return _figure(title, label, scale, times, drawn, {side: side for side in lines})
 
 
 @dataclass(frozen=True, slots=True)
 class _Scale:
-    """Upright scale of a plot in degrees."""
+    """Upright scale of a plot."""
 
-    low_deg: float
-    high_deg: float
+    low: float
+    high: float
+    unit: str
 
     @classmethod
-    def fit(cls, shown_deg: Float[np.ndarray, " values"]) -> "_Scale":
+    def fit(cls, shown: Float[np.ndarray, " values"], unit: str) -> "_Scale":
         """Scale on which values fill the plot, unless they hardly differ."""
-        middle_deg = float(shown_deg.max() + shown_deg.min()) / 2
-        half_deg = 0.55 * max(float(np.ptp(shown_deg)), _LEAST_SPAN_DEG)
-        return cls(middle_deg - half_deg, middle_deg + half_deg)
+        middle = float(shown.max() + shown.min()) / 2
+        half = 0.55 * max(float(np.ptp(shown)), _TICKS[unit][0])
+        return cls(middle - half, middle + half, unit)
 
-    def y(self, angle_deg: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
-        """Places of angles in the plot, downwards."""
-        share = (self.high_deg - angle_deg) / (self.high_deg - self.low_deg)
+    def y(self, values: Float[np.ndarray, " points"]) -> Float[np.ndarray, " points"]:
+        """Places of values in the plot, downwards."""
+        share = (self.high - values) / (self.high - self.low)
         return np.asarray(_TOP + share * (_HEIGHT - _BOTTOM - _TOP))
 
-    def ticks(self, unit: str) -> Float[np.ndarray, " ticks"]:
+    def ticks(self) -> Float[np.ndarray, " ticks"]:
         """Round values, about four of them."""
-        span_deg, steps = self.high_deg - self.low_deg, _STEPS[unit == "°"]
-        step_deg = next(step for step in steps if span_deg / step <= 4.4 or step == steps[-1])
-        return np.arange(np.ceil(self.low_deg / step_deg), np.floor(self.high_deg / step_deg) + 1) * step_deg
+        span, steps = self.high - self.low, _TICKS[self.unit][1]
+        step = next(step for step in steps if span / step <= 4.4 or step == steps[-1])
+        return np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1) * step
 
 
 def _figure(
-    title: str,
-    label: str,
-    scale: _Scale,
-    ends: tuple[str, str],
-    drawn: Sequence[Markup],
-    keys: Mapping[str, str],
-    unit: str,
+    title: str, label: str, scale: _Scale, ends: tuple[str, str], drawn: Sequence[Markup], keys: Mapping[str, str]
 ) -> Markup:
     """Plot with its scale.
 
     ``ends`` are the words at both ends of the axis across, ``keys`` the words for the colours by side.
     """
-    ticks_deg = scale.ticks(unit)
+    ticks = scale.ticks()
+    sign = scale.unit if len(scale.unit) == 1 else ""  # The title has a longer unit
     marks = [
         join(
             element("line", x1=_LEFT, x2=_WIDTH, y1=f"{place:.1f}", y2=f"{place:.1f}", class_="grid"),
-            element("text", f"{round(tick_deg)}{unit}", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
+            element("text", f"{tick + 0.0:g}{sign}", x=_LEFT - 4, y=f"{place + 4:.1f}", text_anchor="end"),
         )
-        for tick_deg, place in zip(ticks_deg, scale.y(ticks_deg), strict=True)
+        for tick, place in zip(ticks, scale.y(ticks), strict=True)
     ]
     limits = [
         element("text", ends[0], x=_LEFT, y=_HEIGHT - 3),
@@ -238,6 +227,17 @@ def _figure(
     svg = element("svg", marks, limits, drawn, viewBox=box, width=_WIDTH, height=_HEIGHT, role="img", aria_label=label)
     legend = (element("span", words, class_=f"key {side}") for side, words in keys.items())
     return element("figure", svg, element("figcaption", title, " ", legend))
+
+
+def _band(
+    across: Float[np.ndarray, " points"],
+    low: Float[np.ndarray, " points"],
+    high: Float[np.ndarray, " points"],
+    side: str,
+) -> Markup:
+    """Area between two lines."""
+    outline = [*zip(across, low, strict=True), *zip(across[::-1], high[::-1], strict=True)]
+    return element("polygon", points=" ".join(f"{x:.1f},{y:.1f}" for x, y in outline), class_=side)
 
 
 def _line(across: Float[np.ndarray, " points"], places: Float[np.ndarray, " points"]) -> str:

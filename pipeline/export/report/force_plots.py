@@ -49,7 +49,7 @@ def force_parts(people: Iterable[PersonAngles], frame_rate_hz: float) -> Iterabl
 
 
 def _of_strides(forces: PersonForces) -> Iterable[tuple[str, str, Lines]]:
-    """Title, unit and lines of each plot over strides; moments in N m for each 100 kg, so that all scales are alike."""
+    """Title, unit and lines of each plot over strides."""
     percent = 100.0 / forces.weight
     yield (
         "Vertical force, % of weight",
@@ -58,8 +58,8 @@ def _of_strides(forces: PersonForces) -> Iterable[tuple[str, str, Lines]]:
     )
     for name in _MOMENTS:
         columns = {side: MOMENT_NAMES.index(f"{side}_{name}") for side in SIDES}
-        lines = {side: 100.0 * forces.joints.moment[:, k] / forces.unit_kg for side, k in columns.items()}
-        yield f"Moment of {name.replace('_', ' ')}, N m for 100 kg", "", lines
+        lines = {side: forces.joints.moment[:, k] / forces.unit_kg for side, k in columns.items()}
+        yield f"Moment of {name.replace('_', ' ')}, N m/kg", "N m/kg", lines
 
 
 def _cycles(person: PersonAngles, lines: Lines) -> Mapping[str, Float[np.ndarray, "cycles points"]]:

@@ -66,4 +66,7 @@ def test_strides_have_forces_and_moments(page: ElementTree.Element) -> None:
         "Moment of knee flexion",
         "Moment of ankle dorsiflexion",
     ]
+    ticks = [float(text.text or "") for text in list(page.iter("svg"))[2].iter("text") if "%" not in (text.text or "")]
+    assert 2 <= len(ticks) <= 5
+    assert max(map(abs, ticks)) < 3.0  # N m/kg
     assert "estimated from the stature" in (next(page.iter("summary")).text or "")
