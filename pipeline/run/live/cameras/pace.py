@@ -7,10 +7,10 @@ from collections.abc import Sequence
 _APART = 0.25
 # Least rate at which people can be followed.
 _MIN_RATE_HZ = 5.0
-# Share of the wanted frames below which the machine is behind, and seconds of that before fewer are wanted.
+# Share of the wanted frames below which the machine is behind, and seconds of that before fewer are wanted; chosen.
 _KEPT_UP, _MAX_BEHIND_S = 0.85, 2
-# Seconds of keeping up before more frames are tried again; after each try that fails, twice as many.
-_PATIENCE_S, _MAX_PATIENCE_S = 10, 640
+# Seconds of keeping up before more frames are tried again: twice as many each time that fewer are wanted; chosen.
+_PATIENCE_S, _MAX_PATIENCE_S = 20, 640
 
 
 class DetectionPace:
@@ -29,7 +29,7 @@ class DetectionPace:
 
     def __init__(self, num_cameras: int, start_s: float, rate_hz: float, every: int) -> None:
         self._start_s, self._rate_hz, self.every, self._least = start_s, rate_hz, every, every
-        self._behind_s, self._kept_up_s, self._patience_s = 0, 0, _PATIENCE_S
+        self._behind_s = self._kept_up_s = self._patience_s = 0
         self._newest_s: list[float | None] = [None] * num_cameras
         self._taken_s, self._announced_s = [-math.inf] * num_cameras, [-math.inf] * num_cameras
         self._is_first = [False] * num_cameras
@@ -57,7 +57,7 @@ class DetectionPace:
     def judge(self, num_decoded: int, num_detected: int) -> bool:
         """Take notice of the frames of a second; ``True``: another part of the frames is wanted from now on.
 
-        A machine that is behind detects frames of single instants in each camera, and nothing can be triangulated.
+        Cameras of a machine that is behind have few instants in common, so that hardly anything can be triangulated.
         """
         if num_detected < _KEPT_UP * num_decoded / self.every:
             self._behind_s, self._kept_up_s = self._behind_s + 1, 0
@@ -65,7 +65,7 @@ class DetectionPace:
             self._behind_s, self._kept_up_s = 0, self._kept_up_s + 1
         if self._behind_s >= _MAX_BEHIND_S and self.every < int(self._rate_hz / _MIN_RATE_HZ):
             self.every += 1
-            self._patience_s = min(2 * self._patience_s, _MAX_PATIENCE_S)
+            self._patience_s = min(2 * self._patience_s or _PATIENCE_S, _MAX_PATIENCE_S)
         elif self._kept_up_s >= self._patience_s and self.every > self._least:
             self.every -= 1
         else:
