@@ -37,7 +37,7 @@ _MAX_SIGMA_RAD = np.radians(0.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
+class CalibrationEvidence:
     """Evidence on given cameras."""
 
     steps: Parameters  # Expected steps from the given cameras, whether these are off or not
@@ -45,7 +45,7 @@ class Evidence:
     is_determined: bool  # True if people determine the rotation of a camera
 
 
-def weigh_evidence(problem: AdjustmentProblem, adjusted: Adjustment, sightings: JointSightings) -> Evidence:
+def weigh_evidence(problem: AdjustmentProblem, adjusted: Adjustment, sightings: JointSightings) -> CalibrationEvidence:
     """Weigh the evidence that the given cameras of a problem are off.
 
     ``problem``, ``adjusted``: an adjustment of rotations, positions and focal lengths of all cameras, with priors, to
@@ -82,7 +82,7 @@ def weigh_evidence(problem: AdjustmentProblem, adjusted: Adjustment, sightings: 
     sigma, all_steps = np.zeros(free.shape), np.zeros(free.shape)
     sigma[free] = scale * np.sqrt(np.einsum("pn,nm,pm->p", basis, noise, basis))
     all_steps[free] = scale * steps
-    return Evidence(all_steps, is_off, bool((sigma[:, ROTATION].max(-1) <= _MAX_SIGMA_RAD).any()))
+    return CalibrationEvidence(all_steps, is_off, bool((sigma[:, ROTATION].max(-1) <= _MAX_SIGMA_RAD).any()))
 
 
 def _normal_and_spread(
