@@ -2,7 +2,7 @@
 
 A plate is a rectangle of the floor around all places that the foot presses. Its channels are the force of the foot on
 the plate and the moment about the middle of its corners, along axes whose Z points into the floor, as force plates
-write them. Labels and descriptions say that they are estimated.
+write them. Labels and descriptions say that they are estimated. Samples are 0 where the force or its place is unknown.
 """
 
 import numpy as np

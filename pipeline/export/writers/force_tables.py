@@ -95,7 +95,7 @@ CSV = Writer(_encode, lambda path, _: read_csv(path), _expected, frames=_frames)
 
 
 def cycle_table(forces: PersonForces, strides: Sequence[Stride]) -> bytes | None:
-    """CSV file of forces over steady strides, for each kilogram: mean and standard deviation at 0 to 100 percent.
+    """CSV file of forces over steady strides, for each kilogram: mean and standard deviation at 0 to 100 % of a stride.
 
     Strides go from a foot strike to the next one of the same foot. ``None`` without steady strides.
     """
@@ -105,7 +105,8 @@ def cycle_table(forces: PersonForces, strides: Sequence[Stride]) -> bytes | None
         moments, powers = ((name, k) for k, name in enumerate(MOMENT_NAMES)), enumerate(POWER_NAMES)
         lines |= {f"{name}_nm_kg": forces.joints.moment[:, k] for name, k in moments if name.startswith(side)}
         lines |= {f"{name}_w_kg": forces.joints.power[:, k] for k, name in powers if name.startswith(side)}
-        spans = [(of.strike_row, of.next_row) for of in strides if of.side == side and of.is_steady]
+        steady = [stride for stride in strides if stride.side == side and stride.is_steady]
+        spans = [(stride.strike_row, stride.next_row) for stride in steady]
         for name, line in lines.items():
             cycles = normalised_cycles(line, spans)
             if len(cycles):
