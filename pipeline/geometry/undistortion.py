@@ -41,7 +41,7 @@ def undistort_px(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> Fl
 @lru_cache(maxsize=256)  # people are undistorted by small arrays, thousands of times a session
 def _lens(camera: Camera) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 12"]]:
     """Inverse camera matrix, and coefficients of the distortion as kernels take them."""
-    return np.linalg.inv(camera.matrix), twelve_coefficients(camera.distortion[:12])
+    return np.linalg.inv(camera.matrix), twelve_coefficients(camera.distortion)
 
 
 def undistort_views(
