@@ -313,10 +313,6 @@ def test_files_that_are_no_calibration(tmp_path: Path, name: str, content: bytes
     assert [found for found, _, _ in problems_of(path)] == [code]
 
 
-def test_folder_is_named_as_no_calibration(tmp_path: Path) -> None:
-    assert [found for found, _, _ in problems_of(tmp_path)] == ["calibration_format"]
-
-
 def test_200_megabytes_are_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "huge.toml"
     with path.open("wb") as file:

@@ -113,5 +113,5 @@ def test_extrinsics_alone_ask_for_the_intrinsics(tmp_path: Path) -> None:
 
 
 def test_folder_of_calibration_files_asks_for_a_zip(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="folder.*zip"):
+    with pytest.raises(InputError, match=r"folder.*zip"):
         read_contents(tmp_path)
