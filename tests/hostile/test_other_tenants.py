@@ -46,7 +46,7 @@ def _frames(detections: Detections) -> Iterator[tuple[str, bytes]]:
 def form(files: Mapping[str, bytes], spec: Mapping[str, Any]) -> list[Any]:
     kinds = {".zip": "keypoints", ".csv": "timestamps", ".json": "calibration"}
     parts = [(kinds[Path(name).suffix], (name, content)) for name, content in files.items()]
-    return [*parts, ("spec", (None, json.dumps(spec)))]
+    return [*parts, ("manifest", (None, json.dumps({"layout": "coco-17"}))), ("spec", (None, json.dumps(spec)))]
 
 
 @contextlib.contextmanager
