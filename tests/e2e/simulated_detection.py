@@ -13,7 +13,7 @@ import av
 import numpy as np
 
 from pipeline.detection.appearance import NUM_BINS, PARTS
-from pipeline.run.live.cameras import listeners, program, run
+from pipeline.run.live.cameras import detector_pool, listeners, program, run
 from pipeline.run.live.cameras.detector_pool import DetectedBodies, DetectionJob
 from pipeline.validation.simulation.scenes import SCENES, Simulation, record
 
@@ -52,8 +52,10 @@ def detect(job: DetectionJob) -> DetectedBodies:
 
 
 if __name__ == "__main__":
-    edges: Any = run
-    edges.verify, edges.num_processes, edges.detect_bodies = lambda _: None, lambda _: 1, detect
-    pool: Any = listeners
-    pool.DetectorPool = lambda *_: ThreadPoolExecutor(2)
+    run_edges: Any = run
+    run_edges.verify = lambda _: None
+    pool: Any = detector_pool
+    pool.num_processes, pool.detect_bodies = lambda _: 1, detect
+    edges: Any = listeners
+    edges.DetectorPool = lambda *_: ThreadPoolExecutor(2)
     sys.exit(program.main())

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.calibration.contents import UNKNOWN_SIZE
 from pipeline.calibration.registry import read_calibration, read_contents
 from pipeline.capture import preflight
 from pipeline.core.errors import InputError, listed
@@ -75,7 +76,9 @@ def test_good_ones_are_read_in_every_format(tmp_path: Path, simulation: Simulati
     for name, content in in_every_format(simulation.cameras).items():
         (tmp_path / name).write_bytes(content)
         cameras = read_calibration(tmp_path / name)
-        assert [camera.size_px for camera in cameras] == [camera.size_px for camera in simulation.cameras]
+        # Human3.6M's files have no sizes of pictures.
+        sizes_px = [UNKNOWN_SIZE if name == "human36m.json" else camera.size_px for camera in simulation.cameras]
+        assert [camera.size_px for camera in cameras] == sizes_px
     assert len(check(tmp_path / "session", keypoint_files(simulation))["cameras"]) == 2
 
 
