@@ -82,10 +82,22 @@ class PersonOfTake:
 _FORCES = WeakKeyDictionary[PersonOfTake, PersonForces | None]()
 
 
-def force_figures(people: Iterable[PersonOfTake]) -> list[dict[str, Any]]:
+OnForces = Callable[[int, PersonForces], None]
+"""Callback for the number of a track, and the forces of its person."""
+
+
+def no_forces(_: int, __: PersonForces) -> None:
+    """Report no forces."""
+
+
+def force_figures(people: Iterable[PersonOfTake], on_forces: OnForces = no_forces) -> list[dict[str, Any]]:
     """Figures of people's forces for ``metrics.json``, without people who have none."""
-    of_people = ((person.track.track_id, person.forces()) for person in people)
-    return [forces_document(forces, number) for number, forces in of_people if forces is not None]
+    figures = []
+    for number, forces in ((person.track.track_id, person.forces()) for person in people):
+        if forces is not None:
+            on_forces(number, forces)
+            figures.append(forces_document(forces, number))
+    return figures
 
 
 def take_people(

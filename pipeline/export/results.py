@@ -172,6 +172,7 @@ def write_files(
     kept: person_files.KeptFiles = NOTHING_KEPT,
     report: ReportOf = quality_report,
     on_file: OnFile = no_file,
+    on_forces: person_files.OnForces = person_files.no_forces,
 ) -> WrittenResults:
     """Write all result files into a folder, which is created if missing.
 
@@ -191,6 +192,7 @@ def write_files(
     - ``kept``: files of people that were written before.
     - ``report``: makes the content of ``metrics.json``, after the people's files: its figures take much memory.
     - ``on_file``: called with the path of each file when it is complete.
+    - ``on_forces``: called with the forces of each person at the session's rate, if they are among the exports.
     - Raises ``InputError`` if there are more frames than result files, or one of the formats, may have, or the package
       of a format is not installed.
     - Raises ``OSError`` if the folder can't be written to, the disk is full, or the content of a file differs from the
@@ -232,7 +234,8 @@ def write_files(
                     complete(of_person[name])
             for path, pieces in _loads(person, folder) if "forces" in exports else ():
                 keep(path, pieces)
-            figures += person_files.force_figures([person] if "forces" in exports and shown is reconstruction else ())
+            at_own_rate = [person] if "forces" in exports and shown is reconstruction else ()
+            figures += person_files.force_figures(at_own_rate, on_forces)
         path = folder / "skeletons.json"
         with person_files.replacing(path, skeletons_json.join(shown, tracks)) as part:
             _require_equal(part, path, skeletons_json.join(shown, tracks))
@@ -258,7 +261,7 @@ def write_files(
     if reconstruction.refinement is not None and reconstruction.refinement.has_new_cameras:
         keep(folder / CALIBRATION, [encode_calibration(reconstruction.cameras)])
     at_session_rate = () if shown is reconstruction else person_files.take_people(reconstruction, timeline, body)
-    asked = {"forces": figures or person_files.force_figures(at_session_rate)} if "forces" in exports else {}
+    asked = {"forces": figures or person_files.force_figures(at_session_rate, on_forces)} if "forces" in exports else {}
     metrics = _with_checks(report(reconstruction) | asked | {"exports": check}, shown, of_takes.too_large)
     path = folder / METRICS
     with person_files.replacing(path, [encode_metrics(metrics)]):

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.quality.report import quality_report
 from pipeline.export.quality.views import person_views
 from pipeline.export.viewer.description import Footage, ViewerMotion
+from pipeline.export.viewer.frames import Arrows
 from pipeline.motion.body.shape import BodyShapes
 from pipeline.motion.skeleton.animate import animate
 from tests.api.conftest import NO_BROKER, PREFLIGHT
@@ -72,13 +74,15 @@ def crowd(
     return Reconstruction(CAMERAS, COCO_17, timebase, tuple(tracks), tuple(observations), animation, doubts=doubts)
 
 
-def viewer_files_of(reconstruction: Reconstruction, shapes: BodyShapes | None = None) -> dict[str, bytes]:
+def viewer_files_of(
+    reconstruction: Reconstruction, shapes: BodyShapes | None = None, arrows_m: Arrows = MappingProxyType({})
+) -> dict[str, bytes]:
     """Files for viewers by name; bodies are humans if there are ``shapes``."""
     timebase = reconstruction.timebase
     times = FrameTimes(timebase.start_time_s + np.arange(timebase.num_frames) / timebase.frame_rate_hz)
     footage = {camera.name: Footage(times) for camera in reconstruction.cameras}
     views, report = person_views(reconstruction), json.loads(json.dumps(quality_report(reconstruction)))
-    motion = ViewerMotion(reconstruction, views, footage, report, shapes=shapes)
+    motion = ViewerMotion(reconstruction, views, footage, report, shapes=shapes, arrows_m=arrows_m)
     content = b"".join(motion.encode())
     return {"motion.bin": content, "motion.json": motion.describe()}
 

@@ -64,14 +64,15 @@ export function viewerTools(viewer) {
 // Controls over the 3D view: what is shown, from where, and the keys.
 
 const DIRECTIONS = [["fit", null], ["top", "top"], ["front", "front"], ["side", "side"]];
-const LAYERS = [["body", true], ["skeleton", false], ["trails", true], ["contacts", true], ["mass", false], ["cameras", true], ["names", true]];
+const LAYERS = [["body", true], ["skeleton", false], ["trails", true], ["contacts", true], ["forces", true], ["mass", false], ["cameras", true], ["names", true]];
 
 /** `onoptions` is called with what is to be shown whenever that changes; `shapes` is the choice of what people look like. */
 export function viewControls(viewer, shapes, onoptions) {
   const options = Object.fromEntries(LAYERS.map(([name, isShown]) => [name, isShown]));
   const layers = LAYERS.map(([name]) => {
     const box = el("input", { type: "checkbox", checked: options[name], onchange: () => { options[name] = box.checked; onoptions(options); } });
-    return el("label", {}, box, ` ${VIEWER.layers[name]}`);
+    const isMissing = name === "forces" && viewer.description.record.offsets.forces === undefined;
+    return el("label", { hidden: isMissing }, box, ` ${VIEWER.layers[name]}`);
   });
   const directions = directionBar(viewer, { fit: VIEWER.fitTitle });
   const element = el("div", { class: "look-overlay" }, directions.element,

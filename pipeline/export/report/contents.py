@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ from pipeline.export.report.biomechanics import MAX_PEOPLE, PersonAngles
 from pipeline.export.report.page import ReportContents, Rows
 from pipeline.export.report.pictures import MAX_PICTURES, Moment, Picture, choose_moments, draw_picture, presence
 from pipeline.export.viewer.description import ViewerMotion
+from pipeline.export.viewer.frames import Arrows, force_arrows_m
 from pipeline.motion.angles.compute import joint_angles
 from pipeline.motion.body.installed import find as find_body
 from pipeline.motion.body.shape import BodyShapes
@@ -62,10 +64,10 @@ def gather_contents(
     """
     views = person_views(take)
     metrics = quality_report(take, views)
-    # Forces of each person are computed once, for the figures and the plots.
-    people = list(take_people(take, "person", "capsules")) if "forces" in config.exports else []
+    # Forces of each person are computed once, for the figures, the plots and the arrows.
+    forces = dict[int, PersonForces]()
     if "forces" in config.exports:
-        metrics["forces"] = force_figures(people)
+        metrics["forces"] = force_figures(take_people(take, "person", "capsules"), forces.__setitem__)
         metrics["capture_checks"] = [*metrics["capture_checks"], *force_checks(take, metrics["forces"])]
     pictures: list[Picture] = []
     notes: list[str] = []
@@ -89,9 +91,15 @@ def gather_contents(
     errors_px = metrics["reprojection_error_px"]["by_camera"]
     return ReportContents(
         name=name,
-        motion=embed_motion(take, views, metrics, find_body()),
+        motion=embed_motion(
+            take,
+            views,
+            metrics,
+            find_body(),
+            arrows_m={number: force_arrows_m(of_person) for number, of_person in forces.items()},
+        ),
         metrics=metrics,
-        angles=_person_angles(take, metrics, {person.track.track_id: person.forces() for person in people}),
+        angles=_person_angles(take, metrics, forces),
         findings=[*session.findings, *all_checks(metrics)],
         pictures=pictures,
         notes=notes,
@@ -106,7 +114,7 @@ def gather_contents(
 
 
 def _person_angles(
-    take: Reconstruction, metrics: Mapping[str, Any], forces: Mapping[int, PersonForces | None]
+    take: Reconstruction, metrics: Mapping[str, Any], forces: Mapping[int, PersonForces]
 ) -> list[PersonAngles]:
     """Joint angles of the first people with any known angle."""
     ranges = {person["id"]: person["angles"] for person in metrics["people"]}
@@ -210,7 +218,7 @@ MAX_MOTION_BYTES = 4 * 2**20
 """Largest size of the motion in 3D; of a longer take each n-th frame is kept."""
 
 # Fields of the records that are drawn.
-_FIELDS = ["origin_m", "joints", "skeleton"]
+_FIELDS = ["origin_m", "joints", "skeleton", "forces"]
 
 
 def embed_motion(
@@ -219,15 +227,17 @@ def embed_motion(
     metrics: Mapping[str, Any],
     shapes: BodyShapes | None = None,
     max_bytes: int = MAX_MOTION_BYTES,
+    arrows_m: Arrows = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Describe a take as ``motion.json`` does, with its frames inside.
 
-    ``metrics`` is the content of ``metrics.json``; people have human bodies if there are ``shapes``. ``stride`` is the
-    number of output frames from one kept frame to the next; ``frames`` has the records of these of each person, in
-    base64.
+    ``metrics`` is the content of ``metrics.json``; people have human bodies if there are ``shapes``, and arrows if they
+    have forces. ``stride`` is the number of output frames from one kept frame to the next; ``frames`` has the records
+    of these of each person, in base64.
     """
-    motion = ViewerMotion(take, views, {}, metrics, shapes=shapes)
-    dtype = repack_fields(motion.dtype[_FIELDS], align=True)
+    motion = ViewerMotion(take, views, {}, metrics, shapes=shapes, arrows_m=arrows_m)
+    fields = [name for name in _FIELDS if name in (motion.dtype.names or ())]
+    dtype = repack_fields(motion.dtype[fields], align=True)
     stride = choose_stride([track.num_frames for track in take.tracks], dtype.itemsize, max_bytes)
     frames = [track.start_frame + np.arange(track.num_frames) for track in take.tracks]
     is_kept = np.concatenate([np.zeros(0, int), *frames]) % stride == 0
@@ -236,14 +246,14 @@ def embed_motion(
         records = np.frombuffer(block, motion.dtype)
         drawn = records[is_kept[done : done + len(records)]]
         thin = np.zeros(len(drawn), dtype)
-        for name in _FIELDS:
+        for name in fields:
             thin[name] = drawn[name]
         kept.append(thin.tobytes())
         done += len(records)
     document: dict[str, Any] = json.loads(motion.describe())
     document["record"]["num_bytes"] = dtype.itemsize
     places: dict[str, Any] = dict(dtype.fields or {})
-    document["record"]["offsets"] = {name: places[name][1] for name in _FIELDS}
+    document["record"]["offsets"] = {name: places[name][1] for name in fields}
     return {**document, "stride": stride, "frames": base64.b64encode(b"".join(kept)).decode("ascii")}
 
 

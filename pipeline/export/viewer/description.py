@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,7 @@ class ViewerMotion:
     - ``report``: content of ``metrics.json``.
     - ``first_frame``: number of the first frame before the take was cut; 0 if it was not.
     - ``shapes``: shapes of people's bodies, ``None`` if bodies are not installed.
+    - ``arrows_m``: arrows of people who have forces.
     """
 
     def __init__(
@@ -115,15 +117,20 @@ class ViewerMotion:
         report: Mapping[str, Any],
         first_frame: int = 0,
         shapes: BodyShapes | None = None,
+        arrows_m: frames.Arrows = MappingProxyType({}),
     ) -> None:
         self._take, self._views, self._footage = reconstruction, views, footage
         self._shapes = None if shapes is None else shapes.coarse()
-        self._report, self._first_frame = report, first_frame
+        self._report, self._first_frame, self._arrows_m = report, first_frame, arrows_m
         num_bones = max((len(motion.bone_length_m) for motion in reconstruction.motions), default=0)
         self._skeleton = find_skeleton(num_bones) if num_bones else ()
         self._angle_names = observable_angles(reconstruction.joints)
         self.dtype = frames.record_type(
-            len(reconstruction.joints.names), num_bones, len(self._angle_names), len(reconstruction.cameras)
+            len(reconstruction.joints.names),
+            num_bones,
+            len(self._angle_names),
+            len(reconstruction.cameras),
+            has_forces=bool(arrows_m),
         )
         self._steps_m: list[float] = []
         self._strips: list[str] = []
@@ -133,7 +140,7 @@ class ViewerMotion:
         self._steps_m, self._strips = [], []
         num_body_joints = len(without_hands(self._take.joints).names)
         for number in range(len(self._take.tracks)):
-            person = person_frames(self._take, self._views, number)
+            person = person_frames(self._take, self._views, number, self._arrows_m)
             self._steps_m.append(frames.position_step_m(person))
             self._strips.append(frames.encode_strips(person, self._take.timebase.num_frames, num_body_joints))
             yield from frames.encode_person(person, self.dtype)
@@ -266,7 +273,12 @@ def _encoded(document: Mapping[str, Any]) -> bytes:
     return (json.dumps(document, allow_nan=False, separators=(",", ":")) + "\n").encode("ascii")
 
 
-def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], number: int) -> frames.PersonFrames:
+def person_frames(
+    reconstruction: Reconstruction,
+    views: Sequence[PersonViews],
+    number: int,
+    arrows_m: frames.Arrows = MappingProxyType({}),
+) -> frames.PersonFrames:
     """Content of the records of the person with a number on the list of tracks."""
     track, motion = reconstruction.tracks[number], reconstruction.motions[number]
     doubts: Sequence[Any] = reconstruction.doubts[number] if reconstruction.doubts else ()
@@ -279,6 +291,7 @@ def person_frames(reconstruction: Reconstruction, views: Sequence[PersonViews], 
         joint_angles(motion, track, joints, has_sigmas=False).angle_deg[:, shown],
         mean_of_known(views[number].error_px[:, :, : len(without_hands(joints).names)]),
         frames.identity_confidence(track.start_frame, track.num_frames, doubts, reconstruction.timebase),
+        arrows_m.get(track.track_id, np.full((track.num_frames, 4, 3), np.nan)),
     )
 
 

@@ -8,6 +8,7 @@ field                   type             meaning
 ``origin_m``            3 x float32      position that the following ones are relative to, world coordinates
 ``joints``              joints x 3 int16 position of each joint in steps from the origin; -32768: absent
 ``skeleton``            bones x 3 int16  position of each joint of the animation skeleton, likewise
+``forces``              4 x 3 int16      tail and tip of the left and the right foot's arrow, likewise; only with forces
 ``angles``              angles x int16   joint angles in steps of 0.1 degrees; -32768: unknown
 ``source_views``        joints x uint8   ``Source`` in the two low bits, number of cameras (at most 63) above them
 ``score``               joints x uint8   mean confidence of the observations, 255 for 1
@@ -21,7 +22,7 @@ than 3.2 m from the origin.
 """
 
 import base64
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +32,7 @@ from jaxtyping import Float, UInt8
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Doubt, Source, Track3D
 from pipeline.export.timelines import frame_blocks
+from pipeline.motion.forces.person_forces import PersonForces
 
 ABSENT = -32768
 """Coordinate of a joint without a position, and number of an angle that is unknown."""
@@ -38,6 +40,10 @@ UNKNOWN_ERROR = 255
 ERROR_STEP_PX = 0.5
 POSITION_STEP_M = 1e-4
 ANGLE_STEP_DEG = 0.1
+ARROW_M = 1.0
+"""Length of the arrow of a force as large as the body's weight."""
+Arrows = Mapping[int, Float[np.ndarray, "frames 4 3"]]
+"""Arrows of the forces on people's feet (``force_arrows_m``), by the numbers of their tracks."""
 
 _LARGEST = 32767
 _MAX_VIEWS = 63
@@ -57,14 +63,18 @@ class PersonFrames:
     # Mean reprojection error of the body's joints in each camera, NaN where a camera sees nothing of the person
     camera_error_px: Float[np.ndarray, "frames cameras"]
     identity: Float[np.ndarray, " frames"]  # Confidence in the person's identity in [0, 1]
+    arrows_m: Float[np.ndarray, "frames 4 3"]  # Arrows of the forces on the feet (``force_arrows_m``); NaN without
 
 
-def record_type(num_joints: int, num_bones: int, num_angles: int, num_cameras: int) -> np.dtype[np.void]:
+def record_type(
+    num_joints: int, num_bones: int, num_angles: int, num_cameras: int, *, has_forces: bool = False
+) -> np.dtype[np.void]:
     """Structure of a record; its fields are listed at the top of this module."""
     fields: list[tuple[str, str, tuple[int, ...]]] = [
         ("origin_m", "<f4", (3,)),
         ("joints", "<i2", (num_joints, 3)),
         ("skeleton", "<i2", (num_bones, 3)),
+        *([("forces", "<i2", (4, 3))] if has_forces else []),
         ("angles", "<i2", (num_angles,)),
         ("source_views", "u1", (num_joints,)),
         ("score", "u1", (num_joints,)),
@@ -78,7 +88,8 @@ def record_type(num_joints: int, num_bones: int, num_angles: int, num_cameras: i
 
 def position_step_m(person: PersonFrames) -> float:
     """Step of a person's positions: as fine as 0.1 mm where 16 bits allow it."""
-    farthest_m = max(_farthest_m(person.track.xyz_m, person.root_m), _farthest_m(person.skeleton_m, person.root_m))
+    stored_m = person.track.xyz_m, person.skeleton_m, person.arrows_m
+    farthest_m = max(_farthest_m(xyz_m, person.root_m) for xyz_m in stored_m)
     # The origin is rounded to single precision, so a coordinate may end a little farther away.
     return float(max(POSITION_STEP_M, farthest_m * (1 + 1e-6) / _LARGEST))
 
@@ -98,6 +109,8 @@ def encode_person(person: PersonFrames, dtype: np.dtype[np.void]) -> Iterator[by
         records["joints"] = _steps(track.xyz_m[rows] - origin_m, step_m)
         records["skeleton"] = ABSENT
         records["skeleton"][:, :num_bones] = _steps(person.skeleton_m[rows] - origin_m, step_m)
+        if "forces" in (dtype.names or ()):
+            records["forces"] = _steps(person.arrows_m[rows] - origin_m, step_m)
         records["angles"] = _angle_steps(person.angle_deg[rows])
         records["source_views"] = track.source[rows] | np.minimum(track.views[rows], _MAX_VIEWS) << 2
         records["score"] = share_byte(track.score[rows])
@@ -124,6 +137,17 @@ def encode_points(names: Sequence[str], person: int | None, points: Track3D) -> 
             "position_step_m": step_m,
             "positions": places,
         }
+
+
+def force_arrows_m(forces: PersonForces) -> Float[np.ndarray, "frames 4 3"]:
+    """Arrows of the forces on the feet: tail at the centre of pressure, and tip, of the left and of the right foot.
+
+    World coordinates, NaN without contact. A force as large as the body's weight is ``ARROW_M`` long.
+    """
+    feet = forces.feet
+    tip_m = feet.pressure_m + ARROW_M / forces.weight * feet.force
+    ends_m = np.stack([feet.pressure_m, tip_m], axis=2)
+    return np.where(feet.stands[..., None, None], ends_m, np.nan).reshape(-1, 4, 3)
 
 
 def share_byte(share: Float[np.ndarray, "*shape"]) -> UInt8[np.ndarray, "*shape"]:

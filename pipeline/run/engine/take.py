@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from pipeline.association.own_points.locate import locate_own_points
@@ -18,6 +19,7 @@ from pipeline.core.options.edited_take import EditedPerson
 from pipeline.core.problems.finding_codes import KEYPOINTS_FORM
 from pipeline.export.quality.views import PersonViews
 from pipeline.export.viewer.description import ViewerMotion, session_footage
+from pipeline.export.viewer.frames import Arrows
 from pipeline.motion.body.installed import find as find_body
 from pipeline.run.engine import stage
 from pipeline.run.engine.detection_source import detection_source, joint_offsets
@@ -134,13 +136,14 @@ def viewer_files(
     report: Mapping[str, Any],
     folder: Path,
     first_frame: int = 0,
+    arrows_m: Arrows = MappingProxyType({}),
 ) -> Sequence[stage.ResultFile]:
     """Write the files for viewers into a folder.
 
     ``take`` is at the session's frame rate, ``report`` the content of ``metrics.json``, ``first_frame`` the number of
-    the first frame before the take was cut.
+    the first frame before the take was cut, ``arrows_m`` has the arrows of people who have forces.
     """
-    motion = ViewerMotion(take, views, session_footage(session), report, first_frame, find_body())
+    motion = ViewerMotion(take, views, session_footage(session), report, first_frame, find_body(), arrows_m)
     with (folder / stage.MOTION).open("wb") as file:
         file.writelines(motion.encode())
     (folder / stage.DESCRIPTION).write_bytes(motion.describe())

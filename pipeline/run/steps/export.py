@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pipeline.core.data.reconstruction import Reconstruction
     from pipeline.core.options.edited_take import EditedTake
     from pipeline.export.results import ReportOf
+    from pipeline.motion.forces.person_forces import PersonForces
 
 # Choices that decide about the files of people.
 _CHOICES = ("exports", "preset", "output_rate_hz", "timeline", "body", "segments", "sex", "mass_kg")
@@ -66,6 +67,7 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     from pipeline.export.quality.report import all_checks, quality_report
     from pipeline.export.quality.views import person_views
     from pipeline.export.results import NOTHING_KEPT, write_files
+    from pipeline.export.viewer.frames import force_arrows_m
     from pipeline.run.engine.edited_people import applied_edits
     from pipeline.run.engine.pieces import FilesInPieces, Pieces, TakeInPieces
     from pipeline.run.engine.stored_people import found_people
@@ -81,7 +83,13 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
     edited = applied_edits(context, found_people(context, stage.IDENTIFY).spans)
     report = partial(_with_edits, report, edited)
     choices = config.exports, config.preset, config.output_rate_hz, config.timeline, config.body
-    written = write_files(reconstruction, scratch, *choices, context.on_share(task), kept, report)
+    arrows_m: dict[int, Any] = {}
+
+    def keep_arrows(number: int, forces: "PersonForces") -> None:
+        arrows_m[number] = force_arrows_m(forces)
+
+    of_task = context.on_share(task), kept, report
+    written = write_files(reconstruction, scratch, *choices, *of_task, on_forces=keep_arrows)
     names = {motion.track_id: motion.name for motion in reconstruction.motions}
     files = [_result_file(path, names) for path in written.paths]
     if context.files.has_viewers:
@@ -92,7 +100,7 @@ def export(task: stage.Task, context: stage.Context) -> stage.Output:
             # The files are kept whatever the names are, so they don't say which names could not be given.
             checks = [check for check in written.metrics["capture_checks"] if check["code"] != EDIT_NOT_APPLIED]
             shown = {**written.metrics, "capture_checks": checks}
-            return viewer_files(reconstruction, views(reconstruction), footage, shown, scratch, first_frame)
+            return viewer_files(reconstruction, views(reconstruction), footage, shown, scratch, first_frame, arrows_m)
 
         files += take.viewer_files(reconstruction, for_viewers) if context.files.keeps_pieces else for_viewers()
     warnings = tuple(all_checks(written.metrics))

@@ -35,7 +35,7 @@ export const VIEWER = {
   layouts: { both: "3D and cameras", scene: "3D", camera: (name) => `${name} large` },
   fill: "3D on the full screen (Shift F)",
   fillWith: (camera) => `${camera} on the full screen`,
-  layers: { body: "Bodies", skeleton: "Bones", trails: "Trails", contacts: "Foot contacts", mass: "Centre of mass", cameras: "Cameras", names: "Names" },
+  layers: { body: "Bodies", skeleton: "Bones", trails: "Trails", contacts: "Foot contacts", forces: "Ground reaction forces", mass: "Centre of mass", cameras: "Cameras", names: "Names" },
   directions: { fit: "Fit", top: "Top", front: "Front", side: "Side" },
   fitTitle: "Fit the people (F)",
   view: "View",

@@ -3,7 +3,7 @@
 import { VIEWER } from "../../shared/strings/viewer.js";
 
 const HEAD_BYTES = 16;
-const FIELDS = { joints: "numJoints", skeleton: "numBones" };
+const FIELDS = { joints: "numJoints", skeleton: "numBones", forces: "numArrowEnds" };
 
 /** Split an answer into the pieces of its people: `{ id, firstFrame, numFrames, start }`, `start` in bytes. */
 export function parsePieces(buffer) {
@@ -26,6 +26,7 @@ export class FrameRecords {
     this.numBytes = num_bytes;
     this.numJoints = description.joint_names.length;
     this.numBones = description.skeleton.names.length;
+    this.numArrowEnds = 4; // tail and tip of each foot's force
     this.numCameras = description.cameras.length;
     this.offsets = offsets;
     this.absent = absent;
@@ -35,7 +36,7 @@ export class FrameRecords {
     this.origin = description.origin_m ?? [0, 0, 0];
   }
 
-  /** Number of positions that a field, `joints` or `skeleton`, holds. */
+  /** Number of positions that a field, `joints`, `skeleton` or `forces`, holds. */
   count(field) {
     return this[FIELDS[field]];
   }

@@ -1,4 +1,4 @@
-// People in 3D: bodies of humans, capsules or characters, skeletons of lines, trails and contacts of feet. One draw call for each.
+// People in 3D: bodies of humans, capsules or characters, skeletons of lines, trails, contacts of feet and arrows of their forces. One draw call for each.
 
 import * as THREE from "../../vendor/three/three.module.js";
 import { extrapolated, massCentre, positionsAt, standing } from "../motion/kinematics.js";
@@ -17,6 +17,7 @@ const RADII = [
   [/Neck$/, 0.07], [/Shoulder$/, 0.045], [/ForeArm$/, 0.045], [/Arm$/, 0.05], [/HandEnd$/, 0.028], [/Hand$/, 0.034],
   [/UpLeg$/, 0.075], [/Leg$/, 0.068], [/FootEnd$/, 0.036], [/Foot$/, 0.05],
 ];
+const [ARROW_RADIUS_M, ARROW_COLOR] = [0.04, "#ffd75e"];
 const HIDDEN = new THREE.Matrix4().makeScale(0, 0, 0);
 
 export class PeopleFigures {
@@ -26,6 +27,8 @@ export class PeopleFigures {
   #positions;
   #marks; // positions of the detector's joints
   #next; // room for positions of the frame after a place
+  #ends = new Float32Array(3 * 2 * FEET.length); // tail and tip of each foot's force
+  #meshes;
   #matrix = new THREE.Matrix4();
   #direction = new THREE.Vector3();
   #turn = new THREE.Quaternion();
@@ -52,7 +55,7 @@ export class PeopleFigures {
     // Where the people are: names are shown there.
     this.anchors = people.map(() => new THREE.Vector3(NaN, NaN, NaN));
     this.ankles = ["left_ankle", "right_ankle"].map((name) => marks.indexOf(name));
-    this.options = { body: true, shape: "human", skeleton: false, trails: true, contacts: true, mass: false };
+    this.options = { body: true, shape: "human", skeleton: false, trails: true, contacts: true, forces: true, mass: false };
     this.#build();
   }
 
@@ -63,7 +66,8 @@ export class PeopleFigures {
   /** Put all people where they are at a place, a frame or between two frames. */
   show(place) {
     const frame = Math.round(place);
-    const { body, shape, skeleton, contacts, mass } = this.options;
+    const { body, shape, skeleton, contacts, forces, mass } = this.options;
+    const hasForces = forces && this.#store.description.record?.offsets.forces !== undefined;
     const isHuman = shape === "human" && this.humans !== null;
     const isCapsule = shape === "capsule" || (shape === "human" && !isHuman);
     let segment = 0;
@@ -76,11 +80,12 @@ export class PeopleFigures {
       if (isHere && body && shape === "character") this.#showCharacter(number, place);
       if (isHere && skeleton) segment = this.#addLines(segment, person.tint);
       this.#showContacts(number, person, isHere && contacts, frame);
+      this.#showForces(number, isHere && hasForces, frame);
       this.#showMass(number, person, isHere && mass, frame);
     });
     this.lines.geometry.setDrawRange(0, 2 * segment);
     for (const name of ["position", "color"]) this.lines.geometry.getAttribute(name).needsUpdate = true;
-    for (const mesh of [this.capsules, this.discs, this.balls]) mesh.instanceMatrix.needsUpdate = true;
+    for (const mesh of [this.capsules, this.discs, this.arrows, this.balls]) mesh.instanceMatrix.needsUpdate = true;
     this.capsules.visible = body && isCapsule;
     this.humans?.update(body && isHuman);
     // Over a character, for comparison: it may be thicker, or built otherwise, than the person.
@@ -103,7 +108,7 @@ export class PeopleFigures {
 
   close() {
     this.humans?.close();
-    for (const mesh of [this.capsules, this.discs, this.balls, this.lines, this.trails]) {
+    for (const mesh of this.#meshes) {
       this.stage.scene.remove(mesh);
       mesh.geometry.dispose();
       mesh.material.dispose();
@@ -117,10 +122,13 @@ export class PeopleFigures {
     this.capsules = new THREE.InstancedMesh(capsule(), new THREE.MeshLambertMaterial(), numPeople * numBones);
     const disc = new THREE.MeshBasicMaterial({ transparent: true, opacity: 0.75, depthWrite: false });
     this.discs = new THREE.InstancedMesh(new THREE.RingGeometry(0.55, 1, 20), disc, numPeople * FEET.length);
+    const tint = { color: ARROW_COLOR, depthTest: false };
+    this.arrows = new THREE.InstancedMesh(arrow(), new THREE.MeshBasicMaterial(tint), numPeople * FEET.length);
+    this.arrows.renderOrder = 2; // over the legs around them
     // Without people nothing of them is drawn: an instance that was never placed is a ball around the origin.
     this.balls = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 12, 8), new THREE.MeshBasicMaterial({ depthTest: false }), numPeople * MASS_RADII_M.length);
     this.balls.renderOrder = 2; // over the body around the centre
-    [this.capsules.count, this.discs.count, this.balls.count] = [numBones, FEET.length, MASS_RADII_M.length].map((number) => this.#people.length * number);
+    [this.capsules.count, this.discs.count, this.arrows.count, this.balls.count] = [numBones, FEET.length, FEET.length, MASS_RADII_M.length].map((number) => this.#people.length * number);
     this.#people.forEach(({ tint }, number) => {
       for (let bone = 0; bone < numBones; bone++) this.capsules.setColorAt(number * numBones + bone, tint);
       for (let foot = 0; foot < FEET.length; foot++) this.discs.setColorAt(number * FEET.length + foot, tint);
@@ -129,7 +137,8 @@ export class PeopleFigures {
     this.lines = colouredLines(numPeople * numBones);
     this.lines.renderOrder = 1;
     this.trails = colouredLines(numPeople * TRAILED.length * TRAIL_STEPS);
-    for (const mesh of [this.capsules, this.discs, this.balls, this.lines, this.trails]) {
+    this.#meshes = [this.capsules, this.discs, this.arrows, this.balls, this.lines, this.trails];
+    for (const mesh of this.#meshes) {
       mesh.frustumCulled = false; // bounds of what moves would have to be computed for each frame
       this.stage.add(mesh);
     }
@@ -162,20 +171,26 @@ export class PeopleFigures {
     const numBones = this.#bones.length;
     this.#bones.forEach(({ parent, joint, radius }, bone) => {
       const place = number * numBones + bone;
-      this.#from.fromArray(this.#positions, 3 * parent);
-      this.#to.fromArray(this.#positions, 3 * joint);
-      this.#direction.subVectors(this.#to, this.#from);
-      const length = this.#direction.length();
+      const length = this.#stretch(this.#positions, parent, joint);
       if (!isShown || !(length > 1e-4)) {
         this.capsules.setMatrixAt(place, HIDDEN);
         return;
       }
-      this.#turn.setFromUnitVectors(THREE.Object3D.DEFAULT_UP, this.#direction.divideScalar(length));
       this.#from.add(this.#to).multiplyScalar(0.5);
       // The round ends begin at the joints, so that capsules of neighbouring bones overlap there.
       this.#scale.set(radius, length + 1.2 * radius, radius);
       this.capsules.setMatrixAt(place, this.#matrix.compose(this.#from, this.#turn, this.#scale));
     });
+  }
+
+  /** Turn from upright to the way from one position to another, which become `#from` and `#to`; returns its length. */
+  #stretch(positions, from, to) {
+    this.#from.fromArray(positions, 3 * from);
+    this.#to.fromArray(positions, 3 * to);
+    this.#direction.subVectors(this.#to, this.#from);
+    const length = this.#direction.length();
+    this.#turn.setFromUnitVectors(THREE.Object3D.DEFAULT_UP, this.#direction.divideScalar(length));
+    return length;
   }
 
   /** Add the bones to the lines from a segment on; returns the segment after them. */
@@ -205,6 +220,16 @@ export class PeopleFigures {
       this.#from.set(x, y, this.stage.floorZ(x, y) + 0.006);
       this.#scale.setScalar(CONTACT_RADIUS_M);
       this.discs.setMatrixAt(place, this.#matrix.compose(this.#from, this.#turn.identity(), this.#scale));
+    });
+  }
+
+  /** Force of the ground on each foot, from the centre of pressure; none without contact. */
+  #showForces(number, isShown, frame) {
+    const isKnown = isShown && this.#store.positions(number, frame, "forces", this.#ends);
+    FEET.forEach((_, foot) => {
+      const length = isKnown ? this.#stretch(this.#ends, 2 * foot, 2 * foot + 1) : NaN;
+      const matrix = length > 0 ? this.#matrix.compose(this.#from, this.#turn, this.#scale.set(ARROW_RADIUS_M, length, ARROW_RADIUS_M)) : HIDDEN;
+      this.arrows.setMatrixAt(number * FEET.length + foot, matrix);
     });
   }
 
@@ -266,6 +291,11 @@ export class PeopleFigures {
 function capsule() {
   const outline = [[0, -0.5], [0.62, -0.47], [1, -0.38], [1, 0.38], [0.62, 0.47], [0, 0.5]];
   return new THREE.LatheGeometry(outline.map(([radius, height]) => new THREE.Vector2(radius, height)), 8);
+}
+
+/** Upright arrow of height and radius 1, from the origin on. */
+function arrow() {
+  return new THREE.LatheGeometry([[0, 0], [0.4, 0], [0.4, 0.85], [1, 0.85], [0, 1]].map(([radius, height]) => new THREE.Vector2(radius, height)), 8);
 }
 
 function colouredLines(numSegments) {

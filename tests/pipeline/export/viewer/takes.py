@@ -2,18 +2,23 @@
 
 import struct
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from pipeline.core.data.animation import Animation
 from pipeline.core.data.cameras import FrameTimes, Timebase
 from pipeline.core.data.people import Doubt, Track3D
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.export.viewer.description import Footage
+from pipeline.motion.forces.person_forces import PersonForces
 from pipeline.motion.skeleton.animate import animate
 from tests.pipeline.export.quality.test_report import CAMERAS, RATE_HZ, observe
+from tests.pipeline.motion.forces.physical_people import estimated, solved
+from tests.pipeline.motion.gait.walks import walk
 
 FOOTAGE = {
     camera.name: Footage(
@@ -61,3 +66,17 @@ def read_record(description: dict[str, Any], content: bytes, person: int, row: i
         "camera_error": values("camera_error", f"{len(description['cameras'])}B"),
         "identity": values("identity", "B")[0] / 255,
     }
+
+
+def walk_with_forces() -> tuple[Reconstruction, PersonForces]:
+    """Two simulated people who walk in step, and the forces of the first."""
+    act = walk(1.2)
+    animation = solved(act)
+    (track,), (motion,) = animation.tracks, animation.motions
+    aside_m = np.array([0.0, 1.2, 0.0])
+    tracks = track, replace(track, track_id=2, xyz_m=track.xyz_m + aside_m)
+    motions = motion, replace(motion, track_id=2, name="person-2", root_m=motion.root_m + aside_m)
+    timebase = Timebase(0.0, act.rate_hz, track.num_frames)
+    people = Animation(tracks, motions, animation.floor)
+    observations = tuple(observe(track) for track in tracks)
+    return Reconstruction(CAMERAS, act.joints, timebase, tracks, observations, people), estimated(act)
