@@ -130,7 +130,9 @@ def test_files_are_written_once_and_renamed_people_anew(
     changed = {name for name in fresh if fresh[name] != first[name]}
     of_take = {"take.fbx", "take.glb", "take.usdc"} & set(fresh)
     of_person = {"person-2.fbx", "person-2.glb", "person-2.usdc", "person-2.vrma"} & set(fresh)
-    assert changed == {"skeletons.json", *of_person, *of_take}
+    # A warning about forces names people.
+    assert changed == {"skeletons.json", "metrics.json", *of_person, *of_take}
+    assert fresh["metrics.json"].replace(rb"Zo\u00eb", b"person-2") == first["metrics.json"]
 
 
 @pytest.mark.slow
