@@ -19,6 +19,7 @@ from tests.e2e.test_serve_keypoints import files
 from tests.faults.conftest import METHODS
 from tests.faults.service import ROOT, other_version
 from tests.ports import free_port
+from tests.s3 import running_s3
 from tests.waiting import wait_for
 from worker.run.embedded import DataDirectory
 
@@ -66,17 +67,25 @@ def test_two_versions_work_side_by_side(
     with ExitStack() as opened:
         # A short path, because the length of a Unix socket's path is limited.
         data_dir = Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="mc-")))
-        old = opened.enter_context(serving(data_dir, PYTHONPATH=str(ROOT)))
+        s3 = opened.enter_context(running_s3())
+        bucket = s3.environment | {"MULTICAP_ARTIFACTS_URL": s3.new_url()}
+        old = opened.enter_context(serving(data_dir, PYTHONPATH=str(ROOT), **bucket))
         directory = DataDirectory(data_dir, data_dir / "broker" / "socket")
         environment = {
             **os.environ,
+            **bucket,
             "PYTHONPATH": str(other_version(tmp_path / "other")),
             "MULTICAP_DATA_DIR": str(data_dir),
             "MULTICAP_BROKER_URL": directory.broker_url,
             "MULTICAP_PORT": str(port),
         }
         worker = opened.enter_context(running(environment, "worker", "--workers", "1"))
-        api = opened.enter_context(running(environment, "api"))
+        # Each API process has a folder of its own; database, bucket and broker are the service's.
+        own = {
+            "MULTICAP_DATA_DIR": str(tmp_path / "api"),
+            "MULTICAP_DATABASE_URL": f"sqlite:///{data_dir / 'multicap.db'}",
+        }
+        api = opened.enter_context(running(environment | own, "api"))
         client = opened.enter_context(httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=180, trust_env=False))
         new = Served(api, data_dir, client)  # type: ignore[arg-type]  # no text is read of it
         wait_for(lambda: is_ready(client) and num_ready_versions(data_dir) == 2, timeout_s=600)
