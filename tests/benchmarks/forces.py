@@ -100,8 +100,8 @@ def measure(folder: Path, trial: Trial) -> tuple[list[str], list[list[str]]]:
     time_s = take.timebase.start_time_s + np.array(track.frames) / take.timebase.frame_rate_hz
     truth = np.stack([columns(folder / trial.plates, names[0], time_s) for names in (trial.left, trial.right)], axis=1)
     mass_kg = trial.mass_kg or float(truth[48:144].sum(1)[:, 2].mean() / GRAVITY_M_S2)
-    subject = Subject(sex="male", mass_kg=mass_kg)
-    found = forces_of(motion, track, take.joints, subject, take.animation.floor)
+    truth = truth / mass_kg
+    found = forces_of(motion, track, take.joints, Subject(sex="male", mass_kg=mass_kg), take.animation.floor)
     assert found is not None
     percent = 100.0 / found.weight
     error = (found.total - truth.sum(1)) * percent
