@@ -17,12 +17,12 @@ from tests.e2e.serving import Served, serving
 from tests.e2e.test_stacked_edits import reconstructed
 from tests.pipeline.simulations import write_simulation
 
-NUM_LOOPS, DURING_S = 2, 15.0
+NUM_LOOPS, DURING_S = 2, 3.0
 
 
 @pytest.fixture
 def service(tmp_path: Path) -> Iterator[Served]:
-    with serving(tmp_path / "data") as running:
+    with serving(tmp_path / "data", MULTICAP_HEARTBEAT_S="0.1") as running:
         yield running
 
 
