@@ -4,7 +4,7 @@ The inverse of the normal matrix holds for independent errors. A detector marks 
 all pictures of a camera, and for some instants by more: the more observations there are, the less of the truth it
 tells. Errors are random effects of nested levels (Laird and Ware 1982, "Random-effects models for longitudinal data"):
 one of a joint in a camera for the whole take, one for a part of it, and one of each observation. The residuals tell
-their variances by moments, and the normal equations what they do to the cameras.
+their variances by moments, and the normal equations their effect on the cameras.
 """
 
 from collections.abc import Sequence

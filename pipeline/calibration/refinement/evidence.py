@@ -26,7 +26,7 @@ _LEVELS = ((0, 1), (2,))
 _NUM_STEPS = 100
 # Degrees of freedom of Student's t: one camera may be off by far more than the others.
 _FREEDOM = 3.0
-# Standard deviations by which a detector marks a joint beside its place in all pictures of a camera, whoever it is, and
+# Standard deviations by which a detector marks a joint beside its place: of any person in all pictures of a camera, and
 # in pictures of a person in one place. Cameras absorb these errors, so residuals don't tell them: chosen on three
 # rendered clips, so that exact cameras stay and others come back (docs/lab/calibration-notes.md).
 _JOINT_BIAS_M, _SUBJECT_BIAS_M = 0.03, 0.02

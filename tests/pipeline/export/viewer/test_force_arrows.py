@@ -29,7 +29,7 @@ def walk() -> Walk:
 
 
 def read_m(description: dict[str, Any], content: bytes, person: int, num_rows: int, row: int) -> np.ndarray:
-    """Tail and tip of both feet in the records of a person, of whom each has ``num_rows``; NaN for absent ends."""
+    """Tail and tip of both feet in ``num_rows`` records of a person; NaN for absent ends."""
     record = description["record"]
     num_bytes, offsets = record["num_bytes"], record["offsets"]
     start = (person * num_rows + row) * num_bytes
