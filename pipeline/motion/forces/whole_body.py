@@ -6,10 +6,11 @@ A body in the air falls freely: this holds for its path in flights, which moves 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from pipeline.core.data.animation import SkeletonMotion
@@ -25,11 +26,14 @@ from pipeline.motion.skeleton.time_series import filled_with_body
 
 UP = np.array([0.0, 0.0, GRAVITY_M_S2])
 _MIN_FRAMES = 12
-# Time in which errors of a fit forget each other, in simulation (docs/lab/forces-notes.md).
-_MEMORY_S = 0.08
+# Time in which errors of joints forget each other, and time over which movements near the cutoff count, by simulated
+# people and public plates (docs/lab/forces-notes.md).
+_MEMORY_S, _IMPACT_S = 0.14, 0.08
+# Deviation in flights, by the same.
+_FALL_M_S2 = 0.03 * GRAVITY_M_S2
 # Usual error of a marker on the skin (Peters et al., "Quantification of soft tissue artifact in lower limb human motion
-# analysis: a systematic review", Gait & Posture 31, 2010), which goes with the angles of joints and so lasts longer.
-_SKIN_M, _SKIN_S = 0.005, 0.1
+# analysis: a systematic review", Gait & Posture 31, 2010).
+_SKIN_M = 0.005
 _EARS = tuple(f"{side}_ear" for side in SIDES)
 
 
@@ -79,6 +83,9 @@ def body_in_motion(
 ) -> BodyInMotion | None:
     """Segments of a person in motion.
 
+    The deviation of the acceleration has four parts: noise, errors that last, the table of segments, and movements
+    faster than the cutoff. Of the last ones, the octave below the cutoff tells: an impact carries about as much above.
+
     ``flies``: frames in which the body surely touches nothing. ``None`` if joints of the body are
     missing, or the track is too short.
     """
@@ -106,26 +113,27 @@ def body_in_motion(
     body_m = np.einsum("s,fsk->fk", masses.mass, centre_m)
     other_pose = np.stack([world_from_segment[name] for name in other.orientations], axis=1)
     other_m = np.einsum("s,fsk->fk", other.mass, segment_centres(other, xyz_m, other_pose)[0])
-    joint_m, memory_s = np.full(xyz_m.shape[:2], _SKIN_M), _SKIN_S
-    if track.uncertainty_m is not None:
-        joint_m, memory_s = np.where(np.isfinite(track.uncertainty_m), track.uncertainty_m, _SKIN_M), _MEMORY_S
+    stated = np.full(xyz_m.shape[:2], np.nan) if track.uncertainty_m is None else track.uncertainty_m
+    joint_m = np.where(np.isfinite(stated), stated, _SKIN_M)
     stated_m = np.sqrt((masses.weights**2 * joint_m**2).sum(1))
-    lags = np.arange(round(4 * memory_s * rate_hz) + 1)
-    correlation = np.exp(-0.5 * (lags / (memory_s * rate_hz)) ** 2)
+    lags = np.arange(round(4 * _MEMORY_S * rate_hz) + 1)
+    correlation = np.exp(-0.5 * (lags / (_MEMORY_S * rate_hz)) ** 2)
     path_m, fallen_m, sigma, raw = np.empty_like(centre_m), np.empty_like(body_m), np.empty_like(body_m), []
     smoothers = []
     for axis in range(3):
         smoother, noise_m = likeliest(body_m[:, [axis]], known, rate_hz)
         path_m[..., axis] = smoother.path(centre_m[..., axis])
-        fall_m = smoother.path_with_falls(body_m, noise_m, flies)[:, axis] if flies.any() else None
-        own_m = path_m[..., axis] @ masses.mass
-        fallen_m[:, axis] = own_m if fall_m is None else fall_m
-        raw.append(smoother.acceleration(own_m))
+        raw.append(smoother.acceleration(path_m[..., axis] @ masses.mass))
+        slower = replace(smoother, penalty=2.0**6 * smoother.penalty)
+        fallen_m[:, axis], slow_m = (of.path_with_falls(body_m, noise_m, flies)[:, axis] for of in (smoother, slower))
+        octave = smoother.acceleration(fallen_m[:, axis] - slow_m)
+        beyond = gaussian_filter1d(octave**2, _IMPACT_S * rate_hz, mode="nearest")
         white, lasting = smoother.acceleration_gains(correlation).T
         # Tables of other bodies: half of the difference of two of them is the deviation of one.
         table = smoother.acceleration(smoother.path(other_m[:, axis] - body_m[:, axis])) / 2.0
-        sigma[:, axis] = np.sqrt((white * noise_m) ** 2 + (lasting * stated_m) ** 2 + table**2)
+        sigma[:, axis] = np.sqrt((white * noise_m) ** 2 + (lasting * stated_m) ** 2 + table**2 + beyond)
         smoothers.append(smoother)
+    sigma[flies] = np.minimum(sigma[flies], _FALL_M_S2)
     path_m += (fallen_m - np.einsum("s,fsk->fk", masses.mass, path_m))[:, None]
     acceleration = np.stack([smoothers[axis].acceleration(path_m[..., axis]) for axis in range(3)], axis=-1)
     rates = {name: _rates(turn, rate_hz) for name, turn in world_from_segment.items()}

@@ -97,6 +97,18 @@ def test_flight_has_no_force_and_residual_is_stated() -> None:
     assert np.isnan(estimated(SQUAT).flight_residual)
 
 
+def test_deviations_cover_landings() -> None:
+    forces, flies = estimated(JUMP), truth_of(JUMP).flies
+    landings = np.flatnonzero(flies[:-1] & ~flies[1:])
+    rows = np.concatenate([np.arange(row, row + round(0.2 * JUMP.rate_hz)) for row in landings])
+    rows = rows[~forces.flies[rows]]
+    apart = np.abs(errors_bw(JUMP, forces)[rows, 2]) * GRAVITY_M_S2
+    assert (apart < 1.96 * forces.total_sigma[rows, 2]).mean() > 0.8
+    # A flight is known better, and so is a body at rest, whose movements have no fast parts.
+    assert forces.total_sigma[forces.flies].max() < 0.04 * GRAVITY_M_S2
+    assert np.median(forces.total_sigma[rows, 2]) > 5.0 * np.median(estimated(SQUAT).total_sigma[:, 2])
+
+
 def test_moment_of_standing_knee_is_force_times_lever() -> None:
     forces, xyz_m = estimated(SQUAT), truth_of(SQUAT).xyz_m
     # In the deepest squat, bodies are still: the moment is the weight's beyond the knee.

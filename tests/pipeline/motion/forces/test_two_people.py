@@ -63,4 +63,5 @@ def test_two_people_on_one_floor_have_covered_forces() -> None:
     covers = [cover for name, acts in PAIRS.items() for cover in errors_and_cover(acts, name)]
     cover = np.concatenate(covers).mean(0)
     print("within two deviations", *cover.round(3))  # noqa: T201
-    assert ((cover > 0.9) & (cover < 0.98)).all()
+    # Over all takes, the public ones among them, 98 % is the goal. Simulated walks lie nearly all inside.
+    assert ((cover > 0.9) & (cover < 0.99)).all()
