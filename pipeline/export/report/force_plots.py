@@ -29,7 +29,11 @@ def force_parts(people: Iterable[PersonAngles], frame_rate_hz: float) -> Iterabl
         if not any(np.isfinite(line).any() for line in vertical.values()):
             continue
         note = "Vertical force of each foot in % of body weight, with a band of two standard deviations."
-        measured = " Force plates measured some of it." if forces.feet.measured.any() else ""
+        if forces.feet.measured.any():
+            note += " Force plates measured some of it."
+        if np.isfinite(forces.flight_residual):
+            flight = f"{100.0 * forces.flight_residual:+.1f} % of body weight"
+            note += f" Check: the mean in flights was {flight} before it was held at 0; up to 4 % is usual."
         cycles = [
             cycle_plot(title, found, unit)
             for title, unit, lines in _of_strides(forces)
@@ -39,7 +43,7 @@ def force_parts(people: Iterable[PersonAngles], frame_rate_hz: float) -> Iterabl
         yield element(
             "details",
             element("summary", f"{person.name}, {forces.mass}"),
-            element("p", note + measured, class_="quiet"),
+            element("p", note, class_="quiet"),
             element(
                 "div", plot("Vertical force", vertical, forces.start_frame, frame_rate_hz, "%", sigma), class_="plots"
             ),

@@ -23,7 +23,7 @@ from pipeline.motion.balance.compute import GRAVITY_M_S2
 from pipeline.motion.forces.smoothing import PathSmoother, penalty_of
 from pipeline.motion.forces.whole_body import BodyInMotion
 from pipeline.motion.gait.events import Swing, find_swings
-from pipeline.motion.gait.movements import find_movements
+from pipeline.motion.gait.movements import find_flights, find_movements
 from pipeline.motion.gait.points import body_points
 from pipeline.motion.skeleton.feet.floor import find_runs
 
@@ -64,6 +64,8 @@ def find_stances(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> St
     points = body_points(track, joints, rate_hz)
     swings = () if points is None else find_swings(points)
     flies = np.zeros(num_frames, bool)
+    for start, stop in () if points is None else find_flights(points):
+        flies[start:stop] = True
     for move in () if points is None else find_movements(points):
         if move.kind == "jump":
             flies[int(np.ceil(move.start_row)) : int(np.floor(move.end_row)) + 1] = True
@@ -78,7 +80,8 @@ def find_stances(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> St
         if start and any(abs(row - stop) <= 2.0 * _EDGE_S * rate_hz for row in strikes):
             flies[start:stop] = True
     stands &= ~flies[:, None]
-    return Stances(stands, binary_erosion(flies, np.ones(2 * max(round(_EDGE_S * rate_hz), 1) + 1, bool)))
+    edges = np.ones(2 * max(round(_EDGE_S * rate_hz), 1) + 1, bool)
+    return Stances(stands, binary_erosion(flies, edges, border_value=True))
 
 
 def _step(stands: Bool[np.ndarray, " frames"], swings: Sequence[Swing], rate_hz: float) -> None:

@@ -80,23 +80,36 @@ def _ground_m(points: BodyPoints) -> float:
 
 
 def _standing_m(points: BodyPoints, ground_m: float) -> float | None:
-    """Height of the standing person's hips above the ankles: the median where legs are straight, feet on the floor."""
+    """Height of the standing person's hips above the ankles: the median where legs are straight, best on the floor."""
     above_m = points.centre_m[:, 2] - points.ankles_m[..., 2].mean(1)
-    low_m = points.lowest_m.max(1)
-    stands = (above_m > _STRAIGHT * points.leg_m) & points.known.all(1) & (low_m < _FLIGHT_M)
-    if stands.sum() < 0.2 * points.frame_rate_hz:
-        return None
-    return float(np.median(points.centre_m[stands, 2])) - ground_m
+    straight = (above_m > _STRAIGHT * points.leg_m) & points.known.all(1)
+    stands = straight & (points.lowest_m.max(1) < _FLIGHT_M)
+    # A drop jump may have no stance but the one on the box.
+    for rows, height_m in ((stands, points.centre_m[:, 2] - ground_m), (straight, above_m)):
+        if rows.sum() >= 0.2 * points.frame_rate_hz:
+            return float(np.median(height_m[rows]))
+    return None
+
+
+def find_flights(points: BodyPoints) -> list[tuple[int, int]]:
+    """Find rows from start to stop in which both feet are off the floor and the hips fall freely.
+
+    A flight that the track's start or end cuts off may be half as long as a whole one.
+    """
+    rate_hz, flights = points.frame_rate_hz, []
+    for start, stop in find_runs(np.asarray((points.lowest_m > _FLIGHT_M).all(1))):
+        least_s = _FLIGHT_S[0] / (1.0 if start and stop < points.num_frames else 2.0)
+        if least_s <= (stop - start) / rate_hz <= _FLIGHT_S[1] and _falls(points.centre_m[start:stop, 2], rate_hz):
+            flights.append((start, stop))
+    return flights
 
 
 def _jumps(points: BodyPoints, standing_z_m: float) -> list[BodyMovement]:
     rate_hz = points.frame_rate_hz
     toes_m = points.toes_m[..., 2].mean(1)
-    flies = (points.lowest_m > _FLIGHT_M).all(1)
     jumps = []
-    for start, stop in find_runs(np.asarray(flies)):
-        lasts = _FLIGHT_S[0] <= (stop - start) / rate_hz <= _FLIGHT_S[1]
-        if not lasts or start == 0 or stop == points.num_frames or not _falls(points.centre_m[start:stop, 2], rate_hz):
+    for start, stop in find_flights(points):
+        if start == 0 or stop == points.num_frames:
             continue
         air = min(round(_AIR_S * rate_hz), round(_AIR_SHARE * (stop - start)))
         takeoff = _corner(toes_m, start, air, rate_hz, is_takeoff=True)

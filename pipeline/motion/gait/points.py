@@ -116,7 +116,7 @@ def body_points(track: Track3D, joints: JointSet, frame_rate_hz: float) -> BodyP
 
 def _filled(points_m: Float[np.ndarray, "frames *points 3"]) -> Float[np.ndarray, "frames *points 3"]:
     """Positions with unknown frames interpolated from known ones; zeros for points that are never known."""
-    filled_m = np.array(points_m)
+    filled_m = np.array(points_m, order="C")  # In another order, the columns below are a copy
     flat = filled_m.reshape(len(filled_m), -1)
     rows = np.arange(len(flat))
     for column in flat.T:

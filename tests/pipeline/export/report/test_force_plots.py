@@ -1,6 +1,7 @@
 """Plots of forces in a report: over time with bands, and over strides."""
 
 import re
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -70,3 +71,9 @@ def test_strides_have_forces_and_moments(page: ElementTree.Element) -> None:
     assert 2 <= len(ticks) <= 5
     assert max(map(abs, ticks)) < 3.0  # N m/kg
     assert "estimated from the stature" in (next(page.iter("summary")).text or "")
+
+
+def test_mean_in_flights_is_shown_as_a_check(page: ElementTree.Element) -> None:
+    assert "in flights" not in "".join(page.itertext())
+    shown = "".join(page_of(replace(estimated(ACT), flight_residual=-0.031)).itertext())
+    assert "the mean in flights was -3.1 % of body weight" in shown

@@ -97,6 +97,20 @@ def test_flight_has_no_force_and_residual_is_stated() -> None:
     assert np.isnan(estimated(SQUAT).flight_residual)
 
 
+def test_flight_at_the_end_of_the_take_has_no_force() -> None:
+    animation, stop = solved(JUMP), int(np.flatnonzero(truth_of(JUMP).flies)[12])
+    motion, track = animation.motions[0], animation.tracks[0].part(slice(0, stop))
+    contacts = tuple(contact for contact in motion.contacts if contact.rows.stop < stop)
+    cut = replace(
+        motion, root_m=motion.root_m[:stop], parent_from_joint=motion.parent_from_joint[:stop], contacts=contacts
+    )
+    forces = forces_of(cut, track, JUMP.joints, Subject(), animation.floor)
+    assert forces is not None
+    assert forces.flies[-5:].all()
+    assert np.abs(forces.total[-5:]).max() < 0.04 * GRAVITY_M_S2
+    assert np.isfinite(forces.flight_residual)
+
+
 def test_deviations_cover_landings() -> None:
     forces, flies = estimated(JUMP), truth_of(JUMP).flies
     landings = np.flatnonzero(flies[:-1] & ~flies[1:])

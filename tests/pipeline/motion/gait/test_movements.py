@@ -1,14 +1,18 @@
 """Jumps, squats, sitting down and standing up of simulated people, against the exact truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.core.joints import BODY_FEET, COCO_17
-from pipeline.motion.gait.movements import BodyMovement
+from pipeline.motion.gait.analysis import analyse_gait
+from pipeline.motion.gait.movements import BodyMovement, find_flights
+from pipeline.motion.gait.points import body_points
 from pipeline.validation.simulation.motion.performance import joints_at
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.cases import slow_but
-from tests.pipeline.motion.gait.walks import Act, exercise, gait_of, performed
+from tests.pipeline.motion.gait.walks import Act, exercise, gait_of, performed, track_of
 from tests.pipeline.validation.simulation.true_events import flights_s
 
 GRAVITY_M_S2 = 9.81
@@ -83,3 +87,41 @@ def test_squats_and_seats_are_told_apart(gesture: Gesture, seed: int, joints: ob
 def test_landings_and_countermovements_are_no_squats() -> None:
     kinds = {movement.kind for movement in gait_of(exercise(Gesture.COUNTERMOVEMENT_JUMP, 7)).movements}
     assert kinds == {"jump"}
+
+
+def jump_of(act: Act) -> BodyMovement:
+    return next(movement for movement in gait_of(act).movements if movement.kind == "jump")
+
+
+def test_jump_survives_a_frame_without_a_toe() -> None:
+    act = exercise(Gesture.COUNTERMOVEMENT_JUMP)
+    jump, track = jump_of(act), track_of(act)
+    xyz_m = np.array(track.xyz_m)
+    xyz_m[round(jump.start_row) + 6, act.joints.index("right_big_toe")] = np.nan
+    found = analyse_gait(replace(track, xyz_m=xyz_m), act.joints, act.rate_hz).movements[0]
+    assert found.start_row == pytest.approx(jump.start_row, abs=0.2)
+    assert found.height_by_flight_m == pytest.approx(jump.height_by_flight_m, abs=0.01)
+
+
+def test_jump_of_a_person_who_stands_on_a_box_alone_is_found() -> None:
+    act = exercise(Gesture.COUNTERMOVEMENT_JUMP)
+    jump, track = jump_of(act), track_of(act)
+    start = round(jump.start_row) - 20
+    xyz_m = np.array(track.xyz_m[: round(jump.end_row) + 20])
+    xyz_m[:start] = xyz_m[0] + [0.0, 0.0, 0.4]
+    cut = replace(track.part(slice(0, len(xyz_m))), xyz_m=xyz_m)
+    (found,) = [move for move in analyse_gait(cut, act.joints, act.rate_hz).movements if move.kind == "jump"]
+    assert found.height_by_flight_m == pytest.approx(jump.height_by_flight_m, abs=0.01)
+    assert found.height_by_hips_m == pytest.approx(jump.height_by_hips_m, abs=0.05)
+
+
+@pytest.mark.parametrize("is_start", [True, False])
+def test_flight_that_the_track_cuts_off_is_found(is_start: bool) -> None:
+    act = exercise(Gesture.COUNTERMOVEMENT_JUMP)
+    jump, track = jump_of(act), track_of(act)
+    middle = round((jump.start_row + jump.end_row) / 2.0)
+    points = body_points(track.part(slice(middle, None) if is_start else slice(0, middle)), act.joints, act.rate_hz)
+    assert points is not None
+    start, stop = find_flights(points)[0]
+    assert (start if is_start else stop) == (0 if is_start else middle)
+    assert (middle + stop if is_start else start) == pytest.approx(jump.end_row if is_start else jump.start_row, abs=3)
