@@ -221,6 +221,9 @@ FORCES_MISSING = WARNINGS.code("forces_missing", "warning")
 message."""
 FORCES_WITHOUT_FEET = WARNINGS.code("forces_without_feet", "warning")
 """Heels and toes were never seen: where the forces act on the feet is a guess. | Use a detector with heels and toes."""
+FORCES_BESIDE_FEET = WARNINGS.code("forces_beside_feet", "warning")
+"""A seat, hands or another person may carry a share of the force; some forces of feet are empty. | Use these frames
+with care: [Forces](../guide/biomechanics.md#forces) says what is known of them."""
 TOO_FEW_CAMERAS = WARNINGS.code("too_few_cameras", 422, "warning", "finding", "job", "command")
 """The session has fewer than three cameras. | Add a camera."""
 DAMAGED_VIDEO = WARNINGS.code("damaged_video", "warning")

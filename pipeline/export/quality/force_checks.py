@@ -7,10 +7,16 @@ import numpy as np
 
 from pipeline.core.data.reconstruction import Reconstruction
 from pipeline.core.joints import SIDES
-from pipeline.core.problems.finding_codes import FORCES_MISSING, FORCES_WITHOUT_FEET
+from pipeline.core.problems.finding_codes import FORCES_BESIDE_FEET, FORCES_MISSING, FORCES_WITHOUT_FEET
 from pipeline.export.quality.world_checks import failed_check, first_names
 from pipeline.motion.forces.person_forces import LEAST_RATE_HZ
 
+# Frames in which feet may not carry all, by their names in figures.
+_BESIDE = {
+    "num_seated_frames": "on a seat, which carries what is behind the feet",
+    "num_undetermined_frames": "on hands or something else, in which forces of feet and moments of legs are empty",
+    "num_touching_frames": "so near to others that they may hold each other, which is not determined",
+}
 _MARKS = tuple(f"{side}_{mark}" for side in SIDES for mark in ("heel", "big_toe"))
 
 
@@ -47,4 +53,16 @@ def force_checks(take: Reconstruction, figures: Sequence[Mapping[str, Any]]) -> 
             f"Heels and toes were never seen: {first_names(guessed)}. Contacts and centres of pressure of these feet "
             "are guesses from the ankles.",
             hint="Use a detector with heels and toes for forces of feet and moments of joints.",
+        )
+    kinds = {key: [(person["id"], person[key]) for person in figures if person[key]] for key in _BESIDE}
+    texts = [
+        f"{first_names([f'{names[number]} {num}' for number, num in kinds[key]])} {text}"
+        for key, text in _BESIDE.items()
+        if kinds[key]
+    ]
+    if texts:
+        yield failed_check(
+            FORCES_BESIDE_FEET,
+            f"Feet may not carry all. Numbers of frames: {'; '.join(texts)}.",
+            hint="The columns is_seated, is_undetermined and may_touch_person of the tables mark these frames.",
         )

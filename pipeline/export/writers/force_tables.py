@@ -44,7 +44,9 @@ def columns_of(forces: PersonForces) -> dict[str, Float[np.ndarray, " frames"]]:
         of_frames |= {f"{side}_pressure_{axis}_m": feet.pressure_m[:, number, k] for k, axis in enumerate(_AXES)}
         of_frames[f"{side}_pressure_sigma_m"] = feet.pressure_sigma_m[:, number]
         of_frames[f"{side}_is_measured"] = feet.measured[:, number].astype(float)
-    of_frames |= {"is_flight": forces.flies.astype(float), "may_touch_person": forces.touches.astype(float)}
+    flags = {"is_flight": forces.flies, "may_touch_person": forces.touches}
+    flags |= {"is_seated": feet.seated, "is_undetermined": feet.undetermined}
+    of_frames |= {name: flag.astype(float) for name, flag in flags.items()}
     return of_frames | (_loads(forces, "_kg") if mass.is_estimated else {})
 
 

@@ -6,6 +6,9 @@ heel of the foot in front. The vertical force is shared so that its common place
 through a point above the common place, as high as the centre of mass: their horizontal parts follow (the virtual pivot
 point of Maus et al., "Upright human gait did not provide a major mechanical challenge for our ancestors", Nat. Commun.
 1, 2010).
+
+A force that passes outside the soles for a while has another contact. If the thighs are level, a seat below the hips
+carries the share that brings the common place there. Else hands, or another person, carry an unknown share.
 """
 
 from collections.abc import Sequence
@@ -38,9 +41,16 @@ _CARRIED, _UNLOADED = 0.25, 0.05
 _HALF_BREADTH = 0.18
 # Places in lengths of the foot from heel to toe, and aside, of a body that stands on both feet.
 _STANDING = 0.5, 0.0
+# Distance of the force from the soles at which something else carries, and its time; distance at which this begins.
+# Walks, runs, squats and jumps stay below 0.11 m over this time, seats have 0.24 and more (docs/lab/forces-notes.md).
+_OUTSIDE_M, _OUTSIDE_S, _AT_SOLE_M = 0.15, 0.3, 0.03
+# Sine of the largest slope of thighs on a seat.
+_LEVEL = 0.5
 # Standard deviations, in simulation and by public plates (docs/lab/forces-notes.md): of a foot's share in the middle of
 # a double support, of its place as a share of the foot's length, and of the centre of mass by tables.
 _SPLIT, _PATH, _CENTRE_M = 0.05, 0.1, 0.015
+# Deviation of a place anywhere on a foot, as a share of its length.
+_ANYWHERE = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,10 +138,14 @@ class FootForces:
     sigma: Float[np.ndarray, "frames 2 3"]  # Of the force
     pressure_sigma_m: Float[np.ndarray, "frames 2"]
     measured: Bool[np.ndarray, "frames 2"]  # True where a force plate measured them
+    seated: Bool[np.ndarray, " frames"]  # A seat carries what the feet don't
+    undetermined: Bool[np.ndarray, " frames"]  # Something unknown carries, too: forces of feet are NaN
 
 
-def split(body: BodyInMotion, stances: Stances, joints: JointSet, floor: Floor | None) -> FootForces:
-    """Share the force on a body among its feet."""
+def split(
+    body: BodyInMotion, stances: Stances, joints: JointSet, floor: Floor | None, frame_rate_hz: float
+) -> FootForces:
+    """Share the force on a body among its feet and a seat."""
     num_frames, force = len(body.known), body.force
     heels_m, toes_m = foot_marks(body, joints)
     stands = stances.stands.copy()
@@ -157,21 +171,63 @@ def split(body: BodyInMotion, stances: Stances, joints: JointSet, floor: Floor |
     pressure_m = _placed(np.where(both[:, None, None], moved, on_foot), heels_m, toes_m)
     pressure_m[..., 2] = ground_m
     common_m = (share[..., None] * pressure_m).sum(1)
+    beyond_m = (total_m - common_m)[:, :2] * np.asarray(stands.any(1))[:, None]
+    beyond = _lasting(np.linalg.norm(beyond_m, axis=1), frame_rate_hz)
+    on_seat, seated, apart_m = _seat(body, joints, common_m, beyond_m)
+    seated &= beyond
     height_m = np.maximum(body.body_m[:, 2] - ground_m.mean(1), 0.3)
     split_force = share[..., None] * force[:, None]
     lean = (common_m[:, None] - pressure_m)[..., :2] / height_m[:, None, None]
     split_force[..., :2] += np.where(both[:, None, None], split_force[..., 2:] * lean, 0.0)
     pressure_m[~stands] = np.nan
-    free = np.where(stands.any(1), _free_moment(body, split_force, pressure_m), 0.0)
+    free = np.where(stands.any(1) & ~beyond, _free_moment(body, split_force, pressure_m), 0.0)
     loose = _SPLIT * 2.0 * np.sqrt(share * (1.0 - share)) * both[:, None]
     sigma = np.hypot(share[..., None] * body.sigma[:, None], loose[..., None] * np.abs(force[:, None]))
     lever = height_m / np.maximum(force[:, 2], 0.1 * GRAVITY_M_S2)
     length_m = np.linalg.norm((toes_m - heels_m)[..., :2], axis=-1)
     of_body_m = np.hypot(np.linalg.norm(body.sigma[:, :2], axis=1) / np.sqrt(2.0) * lever, _CENTRE_M)
-    pressure_sigma_m = np.hypot(of_body_m[:, None], _PATH * length_m * both[:, None])
+    path = np.where(seated, _ANYWHERE, _PATH * both)
+    pressure_sigma_m = np.hypot(of_body_m[:, None], path[:, None] * length_m)
+    of_seat = share * np.where(seated, of_body_m / apart_m, 0.0)[:, None]
+    sigma = np.hypot(sigma, of_seat[..., None] * np.abs(force[:, None]))
     sigma[~stands], pressure_sigma_m[~stands] = 0.0, np.nan
+    undetermined, free_moment = beyond & ~seated, free[:, None] * share
+    split_force *= np.where(seated, 1.0 - on_seat, 1.0)[:, None, None]
+    for values in (split_force, pressure_m, free_moment, sigma, pressure_sigma_m):
+        values[undetermined] = np.nan
     measured = np.zeros((num_frames, 2), bool)
-    return FootForces(stands, split_force, pressure_m, free[:, None] * share, sigma, pressure_sigma_m, measured)
+    return FootForces(
+        stands, split_force, pressure_m, free_moment, sigma, pressure_sigma_m, measured, seated, undetermined
+    )
+
+
+def _seat(
+    body: BodyInMotion,
+    joints: JointSet,
+    feet_m: Float[np.ndarray, "frames 3"],
+    beyond_m: Float[np.ndarray, "frames 2"],
+) -> tuple[Float[np.ndarray, " frames"], Bool[np.ndarray, " frames"], Float[np.ndarray, " frames"]]:
+    """Share of a seat below the hips, frames in which there may be one, and its distance from the feet.
+
+    ``beyond_m``: way from the feet's place to the place of the force.
+    """
+    hips_m, knees_m = (
+        body.xyz_m[:, joints.indices(tuple(f"{side}_{name}" for side in SIDES))].mean(1) for name in ("hip", "knee")
+    )
+    thigh_m, seat_m = hips_m - knees_m, (hips_m - feet_m)[:, :2]
+    apart_m = np.maximum(np.linalg.norm(seat_m, axis=1), 0.1)
+    on_seat = np.clip((beyond_m * seat_m).sum(1) / apart_m**2, 0.0, 1.0)
+    is_level = thigh_m[:, 2] < _LEVEL * np.linalg.norm(thigh_m, axis=1)
+    return on_seat, is_level & (np.linalg.norm(beyond_m - on_seat[:, None] * seat_m, axis=1) < _OUTSIDE_M), apart_m
+
+
+def _lasting(outside_m: Float[np.ndarray, " frames"], rate_hz: float) -> Bool[np.ndarray, " frames"]:
+    """Frames in which a force passes outside the soles, around times in which it does so far and long."""
+    lasts = np.zeros(len(outside_m), bool)
+    for start, stop in find_runs(outside_m > _AT_SOLE_M):
+        far = find_runs(outside_m[start:stop] > _OUTSIDE_M)
+        lasts[start:stop] = any(last - first >= _OUTSIDE_S * rate_hz for first, last in far)
+    return lasts
 
 
 def _roll(on_foot: np.ndarray, stands: Bool[np.ndarray, "frames 2"], start: int, stop: int) -> None:

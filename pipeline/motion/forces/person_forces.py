@@ -117,7 +117,7 @@ def forces_of(
     body = body_in_motion(motion, track, joints, subject, stances.flies)
     if body is None:
         return None
-    feet = split(body, stances, joints, floor)
+    feet = split(body, stances, joints, floor, motion.frame_rate_hz)
     if laboratory is not None and timebase is not None and laboratory.start is not None and subject.mass_kg:
         feet = _with_plates(feet, body, joints, track, laboratory, timebase, subject.mass_kg)
     moments = joint_moments(body, feet, joints)
@@ -218,7 +218,16 @@ def _with_plates(
     force[measured] = sums[measured] / mass_kg
     sigma, place_sigma_m = feet.sigma.copy(), feet.pressure_sigma_m.copy()
     sigma[measured], place_sigma_m[measured] = 0.0, 0.0
-    return FootForces(feet.stands | measured, force, pressure_m, free, sigma, place_sigma_m, measured)
+    return replace(
+        feet,
+        stands=feet.stands | measured,
+        force=force,
+        pressure_m=pressure_m,
+        free_moment=free,
+        sigma=sigma,
+        pressure_sigma_m=place_sigma_m,
+        measured=measured,
+    )
 
 
 def _jump_heights(
@@ -280,6 +289,8 @@ def forces_document(forces: PersonForces, track_id: int) -> dict[str, Any]:
         "sigma_bw": _rounded(np.nanmedian(forces.total_sigma[:, 2]) / weight),
         "flight_residual_bw": _rounded(forces.flight_residual),
         "num_touching_frames": int(forces.touches.sum()),
+        "num_seated_frames": int(forces.feet.seated.sum()),
+        "num_undetermined_frames": int(forces.feet.undetermined.sum()),
         "stances": stances,
         "asymmetry_percent": asymmetry,
         "jumps": [

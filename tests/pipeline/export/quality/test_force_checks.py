@@ -20,13 +20,18 @@ ACT = exercise(Gesture.SQUAT)
 SESSION = SessionMaker.from_points(truth_of(ACT).xyz_m[:90], ACT.joints.names, ACT.rate_hz, "m")
 
 
+def figures_of(take: Reconstruction, **frames: int) -> dict[str, int]:
+    none = {f"num_{kind}_frames": frames.get(kind, 0) for kind in ("seated", "undetermined", "touching")}
+    return {"id": take.tracks[0].track_id, **none}
+
+
 @pytest.fixture(scope="module")
 def take() -> Reconstruction:
     return reconstruct(SESSION)
 
 
 def test_people_with_forces_have_no_finding(take: Reconstruction) -> None:
-    assert not list(force_checks(take, [{"id": take.tracks[0].track_id}]))
+    assert not list(force_checks(take, [figures_of(take)]))
 
 
 def test_person_without_forces_is_named(take: Reconstruction) -> None:
@@ -40,9 +45,18 @@ def test_person_without_heels_and_toes_is_named(take: Reconstruction) -> None:
     xyz_m = np.array(track.xyz_m)
     xyz_m[:, [k for k, name in enumerate(take.joints.names) if "heel" in name or "toe" in name]] = np.nan
     animation = replace(take.animation, tracks=(replace(track, xyz_m=xyz_m),))
-    (found,) = force_checks(replace(take, animation=animation), [{"id": track.track_id}])
+    (found,) = force_checks(replace(take, animation=animation), [figures_of(take)])
     assert found["code"] == "forces_without_feet"
     assert take.motions[0].name in found["message"]
+
+
+def test_seats_and_unknown_contacts_are_named(take: Reconstruction) -> None:
+    (found,) = force_checks(take, [figures_of(take, seated=30, undetermined=7)])
+    assert found["code"] == "forces_beside_feet"
+    name = take.motions[0].name
+    assert f"{name} 30 on a seat" in found["message"]
+    assert f"{name} 7 on hands" in found["message"]
+    assert "hold each other" not in found["message"]
 
 
 def test_files_of_few_frames_a_second_say_that_forces_are_missing(tmp_path: Path) -> None:

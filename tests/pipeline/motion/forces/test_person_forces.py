@@ -111,6 +111,45 @@ def test_flight_at_the_end_of_the_take_has_no_force() -> None:
     assert np.isfinite(forces.flight_residual)
 
 
+def test_seat_carries_what_is_behind_the_feet() -> None:
+    act = exercise(Gesture.SIT)
+    forces, height_m = estimated(act), truth_of(act).xyz_m[:, act.joints.index("left_hip"), 2]
+    vertical = forces.feet.force[..., 2].sum(1) / GRAVITY_M_S2
+    rests = (height_m < height_m.min() + 0.01) & (np.abs(np.gradient(height_m)) < 1e-3)
+    assert forces.feet.seated[rests].all()
+    assert not forces.feet.seated[height_m > height_m.max() - 0.05].any()
+    assert not forces.feet.undetermined.any()
+    # The feet keep the share that balances the body about the hips.
+    assert np.median(vertical[rests]) < 0.5
+    np.testing.assert_allclose(vertical[~forces.feet.seated], forces.total[~forces.feet.seated, 2] / GRAVITY_M_S2)
+    assert not estimated(SQUAT).feet.seated.any()
+    # The error of the share is part of the deviation.
+    of_seat, of_squat = (
+        np.median(of.feet.sigma[rows][..., 2] / of.feet.force[rows][..., 2])
+        for of, rows in ((forces, rests), (estimated(SQUAT), slice(None)))
+    )
+    assert of_seat > 2.0 * of_squat
+
+
+def test_forces_of_a_person_who_leans_are_undetermined() -> None:
+    animation = solved(SQUAT)
+    xyz_m, rows = np.array(animation.tracks[0].xyz_m), np.arange(len(animation.tracks[0].xyz_m))
+    # A wall holds a body that leans by 27 degrees, from the ankles upwards.
+    leans = np.interp(rows, [100, 160, 340, 400], [0.0, 1.0, 1.0, 0.0])
+    above_m = np.maximum(xyz_m[..., 2] - 0.1, 0.0)
+    toe, heel = (xyz_m[0, SQUAT.joints.index(f"left_{mark}"), :2] for mark in ("big_toe", "heel"))
+    xyz_m[..., :2] += 0.5 * (leans[:, None] * above_m)[..., None] * (toe - heel) / np.linalg.norm(toe - heel)
+    track = replace(animation.tracks[0], xyz_m=xyz_m)
+    forces = forces_of(animation.motions[0], track, SQUAT.joints, Subject(), animation.floor)
+    assert forces is not None
+    assert forces.feet.undetermined[200:300].all()
+    assert not forces.feet.undetermined[:100].any()
+    assert np.isnan(forces.feet.force[forces.feet.undetermined]).all()
+    assert np.isnan(forces.joints.moment[200:300, MOMENT_NAMES.index("left_knee_flexion")]).all()
+    assert np.isfinite(forces.joints.moment[200:300, MOMENT_NAMES.index("left_elbow_flexion")]).all()
+    assert np.isfinite(forces.total).all()
+
+
 def test_deviations_cover_landings() -> None:
     forces, flies = estimated(JUMP), truth_of(JUMP).flies
     landings = np.flatnonzero(flies[:-1] & ~flies[1:])
