@@ -2,6 +2,8 @@
 
 import contextlib
 import errno
+import hashlib
+import pickle
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -66,10 +68,19 @@ class PersonOfTake:
     has_forces: bool = True  # Forces are among the exports, and so in other formats, too
 
     def forces(self) -> PersonForces | None:
-        """Forces of the person, computed once."""
+        """Forces of the person, computed once for the files and the report of a job."""
         if self not in _FORCES:
             of_take = self.floor, self.others, self.laboratory, self.timebase
-            _FORCES[self] = forces_of(self.motion, self.track, self.joints, self.subject, *of_take)
+            of_person = self.motion, self.track, self.joints, self.subject, *of_take
+            arrays: list[pickle.PickleBuffer] = []
+            digest = hashlib.sha256(pickle.dumps(of_person, 5, buffer_callback=arrays.append))
+            for array in arrays:
+                digest.update(array.raw())
+            if (key := digest.digest()) not in _LATEST:
+                _LATEST[key] = self.track.num_frames, forces_of(*of_person)
+            _FORCES[self] = _LATEST[key][1]
+            while sum(num_frames for num_frames, _ in _LATEST.values()) > _MAX_LATEST_FRAMES:
+                del _LATEST[next(iter(_LATEST))]
         return _FORCES[self]
 
     @property
@@ -78,8 +89,9 @@ class PersonOfTake:
         return self.track if self.own is None else joined(self.track, self.own)
 
 
-# Forces end with the person: processes that write files live longer than a take.
+# Forces end with the person, but for the latest: processes that write files live longer than a take.
 _FORCES = WeakKeyDictionary[PersonOfTake, PersonForces | None]()
+_LATEST, _MAX_LATEST_FRAMES = dict[bytes, tuple[int, PersonForces | None]](), 20_000
 
 
 OnForces = Callable[[int, PersonForces], None]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.capture.points import SessionMaker
-from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.options.config import ReconstructionConfig
+from pipeline.export.person_files import take_people
 from pipeline.export.quality.force_checks import force_checks
 from pipeline.run.engine.local import reconstruct, reconstruct_to_files
 from pipeline.validation.simulation.motion.script import Gesture
@@ -57,6 +58,18 @@ def test_seats_and_unknown_contacts_are_named(take: Reconstruction) -> None:
     assert f"{name} 30 on a seat" in found["message"]
     assert f"{name} 7 on hands" in found["message"]
     assert "hold each other" not in found["message"]
+
+
+def test_forces_of_equal_people_are_computed_once(take: Reconstruction) -> None:
+    (first,), (second,) = (list(take_people(take, timeline, "capsules")) for timeline in ("take", "person"))
+    forces = first.forces()
+    assert forces is not None
+    assert second.forces() is forces
+    for other in (
+        replace(first, subject=Subject(mass_kg=50.0)),
+        replace(first, track=replace(first.track, xyz_m=first.track.xyz_m + 0.1)),
+    ):
+        assert other.forces() is not forces
 
 
 def test_files_of_few_frames_a_second_say_that_forces_are_missing(tmp_path: Path) -> None:
