@@ -12,7 +12,6 @@ from typing import cast
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist
 
 from pipeline.capture.point_files.point_names import OWN_NAMES, find_joints
@@ -82,6 +81,8 @@ def _segments(
     moving_m: Float[np.ndarray, "frames points 3"], still_m: Float[np.ndarray, "points 3"]
 ) -> list[Int[np.ndarray, " markers"]]:
     """Markers of each segment: all of them keep the distances that they have in the static trial."""
+    from scipy.cluster.hierarchy import fcluster, linkage  # noqa: PLC0415 - slow to import, and seldom needed
+
     moving_m = moving_m[:: max(1, len(moving_m) // _COMPARED_FRAMES)]
     usable = np.flatnonzero(np.isfinite(still_m).all(-1) & np.isfinite(moving_m).all(-1).any(0))
     if len(usable) < _LEAST_MARKERS:

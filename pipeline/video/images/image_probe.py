@@ -10,7 +10,6 @@ from pipeline.core.problems.session_codes import NO_FRAMES, VIDEO_CHANGES_SIZE
 from pipeline.video.frame_rate import uneven_times, without_rounding
 from pipeline.video.images.files import SEQUENCE, open_images
 from pipeline.video.info import VideoInfo
-from pipeline.video.orientation import display_orientation, mirrored
 
 _NUM_DECODED = 8
 
@@ -24,7 +23,9 @@ def probe_images(path: Path) -> VideoInfo:
     with open_images(path) as images:
         pts = np.array(images.frames, np.int64)
     chosen = {*pts[:_NUM_DECODED].tolist(), int(pts[-1])}
-    from pipeline.video.images.frames import decode_images  # noqa: PLC0415 - loads FFmpeg, which only this needs
+    # These load FFmpeg, which only this needs.
+    from pipeline.video.images.frames import decode_images  # noqa: PLC0415
+    from pipeline.video.orientation import display_orientation, mirrored  # noqa: PLC0415
 
     frames = list(decode_images(path, chosen.__contains__))
     if not frames:

@@ -1,12 +1,16 @@
 """Download of files over HTTP: resumable, with checksum, size limit and a lock between processes."""
 
 from collections.abc import Callable, Collection
+from http import HTTPStatus
 from pathlib import Path
-
-import httpx2
+from typing import TYPE_CHECKING
 
 from pipeline.core.errors import ModelError
 from pipeline.core.runtime.packages.storage import exclusive, file_sha256, partial_path, storage_errors
+
+# Slow to load, and needed for downloads alone.
+if TYPE_CHECKING:
+    import httpx2
 
 # Callback of a download's progress: bytes so far, and all bytes if known.
 OnBytes = Callable[[int, int | None], None]
@@ -21,7 +25,7 @@ def silent(_done: int, _total: int | None) -> None:
 
 
 def download(
-    client: httpx2.Client,
+    client: "httpx2.Client",
     url: str,
     target: Path,
     sha256: Collection[str],
@@ -63,7 +67,9 @@ def _num_bytes(path: Path) -> int:
     return path.stat().st_size if path.is_file() else 0
 
 
-def _receive_all(client: httpx2.Client, url: str, part: Path, max_bytes: int, on_bytes: OnBytes) -> None:
+def _receive_all(client: "httpx2.Client", url: str, part: Path, max_bytes: int, on_bytes: OnBytes) -> None:
+    import httpx2  # noqa: PLC0415
+
     for attempt in range(1, _MAX_ATTEMPTS + 1):
         try:
             _receive(client, url, part, max_bytes, on_bytes)
@@ -83,13 +89,13 @@ def _no_connection(part: Path) -> ModelError:
     )
 
 
-def _receive(client: httpx2.Client, url: str, part: Path, max_bytes: int, on_bytes: OnBytes) -> None:
+def _receive(client: "httpx2.Client", url: str, part: Path, max_bytes: int, on_bytes: OnBytes) -> None:
     """Append the missing bytes to ``part``, or rewrite the file if the server sends all bytes."""
     start = _num_bytes(part)
     # Without compression, so that offsets count bytes of the file.
     headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={start}-"} if start else {})
     with client.stream("GET", url, headers=headers) as response:
-        if start and response.status_code == httpx2.codes.RANGE_NOT_SATISFIABLE:
+        if start and response.status_code == HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
             return  # no byte is missing, or the server has another file by now, which the checksum will show
         if not response.is_success:
             raise ModelError(f"The server refused {part.stem} (status {response.status_code}). Try again later.")
@@ -108,7 +114,7 @@ def _receive(client: httpx2.Client, url: str, part: Path, max_bytes: int, on_byt
                 on_bytes(done, total)
 
 
-def _continues_at(response: httpx2.Response, start: int) -> bool:
-    if response.status_code != httpx2.codes.PARTIAL_CONTENT:
+def _continues_at(response: "httpx2.Response", start: int) -> bool:
+    if response.status_code != HTTPStatus.PARTIAL_CONTENT:
         return False
     return response.headers.get("Content-Range", "").startswith(f"bytes {start}-")

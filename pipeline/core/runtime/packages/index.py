@@ -13,8 +13,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
-import httpx2
-
 from pipeline.core.errors import ModelError
 from pipeline.core.runtime.child_processes import python_command
 from pipeline.core.runtime.packages.download import OnBytes, download, silent
@@ -150,6 +148,8 @@ def _index_urls(settings: PipSettings) -> tuple[str, ...]:
 
 def _find(client: "PyPIClient", settings: PipSettings, pinned: PinnedFile) -> "Link":
     """Find the link of the pinned file at the first index that has it; unreachable indexes are skipped."""
+    import httpx2  # noqa: PLC0415
+
     unreachable = False
     for finder in _finders(client, settings):
         try:
