@@ -14,9 +14,11 @@ import numpy as np
 from numba.core import event
 
 from pipeline.association.hands.attach import attach_hands, has_hands, without_fingers
+from pipeline.association.identity.sides import decide_sides
 from pipeline.association.tracking.observations import gather
 from pipeline.association.tracking.track_people import track_bodies
 from pipeline.association.tracking.tracking_parameters import derive_parameters
+from pipeline.capture.synchronization.motions import find_motions
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
 from pipeline.core.data.detections import Detections
@@ -37,7 +39,7 @@ JOINT_SETS = (COCO_17, WHOLE_BODY)
 """A joint set of each padded size. Fingers are not tracked: the size of ``WHOLE_BODY`` is that with heels and toes."""
 
 # Functions of Multicap that the warm-up compiles, each counted for every size of joint set that it is called with.
-NUM_COMPILED = 100
+NUM_COMPILED = 109
 # Multicap's functions are in packages under this one: `pipeline.`, or `multicap.pipeline.` in the wheel.
 _OWN_MODULES = f"{__package__.removesuffix('.run')}."
 
@@ -81,6 +83,9 @@ def _reconstruct_person(joints: JointSet) -> None:
     people = track_bodies(cameras, times, without_fingers(bodies, joints), timebase, parameters)
     if has_hands(joints):
         people = attach_hands(people, bodies, cameras, joints, timebase, parameters.min_score, parameters.lambda_t_hz)
+    find_motions(cameras, times, detections, joints)
+    for person in zip(people.tracks, people.observations, strict=True):
+        decide_sides(person, cameras, timebase, joints, parameters.min_score)
     animate(people.tracks, people.observations, cameras, timebase, joints, ReconstructionConfig())
 
 

@@ -11,14 +11,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.association.identity.limbs import LimbPair
+from pipeline.association.identity.side_kernels import add_gains
 
 NUM_CANDIDATES = 4
 """Labels of the views that are kept in each frame."""
 SCALE_M = 0.10
 """Distance from a ray at which a view counts by half: c of the function of Geman and McClure."""
 _BEAM = 16
-# Rays at an angle below 3 degrees pass near each other whatever they show.
-_LEAST_SINE2 = 0.003
 
 
 class SideCandidates(NamedTuple):
@@ -77,38 +76,12 @@ def _gains(rays: SeenRays, limbs: LimbPair) -> Float[np.ndarray, "frames cameras
     """
     num_frames, num_cameras = rays.weight.shape[:2]
     gain = np.zeros((num_frames, num_cameras, num_cameras))
-    moment_m, score = np.cross(rays.center_m[:, None], rays.direction), np.sqrt(rays.weight)
+    moment_m = np.cross(rays.center_m[:, None], rays.direction)
+    lines = np.concatenate([rays.direction, moment_m, np.sqrt(rays.weight)[..., None]], axis=-1)
+    lines = lines.transpose(2, 0, 3, 1).copy()
     for left, right in zip(limbs.left, limbs.right, strict=True):
-        sides = [left, right]
-        lines = rays.direction[:, :, sides], moment_m[:, :, sides], score[:, :, sides]
-        for first in range(num_cameras - 1):
-            far, weight = _far(lines, first)
-            for here, there in (((0, 0), (0, 1)), ((1, 1), (1, 0)), ((0, 0), (1, 0)), ((1, 1), (0, 1))):
-                least = np.minimum(weight[:, here[0], :, here[1]], weight[:, there[0], :, there[1]])
-                loss = far[:, there[0], :, there[1]] - far[:, here[0], :, here[1]]
-                gain[:, first, first + 1 :] += least * loss / 2
-    return gain + gain.swapaxes(1, 2)
-
-
-def _far(
-    lines: tuple[np.ndarray, np.ndarray, np.ndarray], first: int
-) -> tuple[Float[np.ndarray, "frames 2 later 2"], Float[np.ndarray, "frames 2 later 2"]]:
-    """Distances between rays of a joint's two sides in a view and in all later ones, from 0 to 1; and their weights.
-
-    ``lines``: directions, moments and scores of both sides in all views. The distance of two lines is the reciprocal
-    product of their Plücker coordinates over the sine of their angle.
-    """
-    here = [values[:, first] for values in lines]
-    shape = (len(here[0]), 2, -1, 2)
-    direction, moment_m, score = (
-        values[:, first + 1 :].reshape(len(values), -1, *values.shape[3:]) for values in lines
-    )
-    direction, moment_m = direction.swapaxes(1, 2), moment_m.swapaxes(1, 2)
-    sine2 = 1.0 - (here[0] @ direction) ** 2
-    apart_m2 = (here[0] @ moment_m + here[1] @ direction) ** 2
-    apart_m2 = np.where(sine2 > _LEAST_SINE2, apart_m2 / np.maximum(sine2, _LEAST_SINE2), 0.0)
-    far, weight = apart_m2 / (apart_m2 + SCALE_M**2), here[2][:, :, None] * score[:, None]
-    return far.reshape(shape), weight.reshape(shape)
+        add_gains(lines[left], lines[right], SCALE_M, gain)
+    return gain
 
 
 # Scales of the function of Geman and McClure, one a step.

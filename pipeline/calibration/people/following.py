@@ -1,12 +1,15 @@
 """Bodies followed from frame to frame through the images of one camera, without geometry."""
 
+import operator
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
+from pipeline.calibration.people.following_kernels import VELOCITY_FRAMES, measure_shifts
 from pipeline.core.data.detections import Detections
 from pipeline.core.joints import JointSet
 
@@ -21,16 +24,10 @@ _MIN_JOINTS = 4
 # Limits of a body's shift from one frame to the next: a share of its height, and of the shift of the second-best body.
 _MAX_SHIFT, _AMBIGUOUS = 0.25, 0.6
 
+_Tracklet = list[int]  # Numbers of the bodies of a tracklet
+
 MAX_GAP_S = 0.25
 """Longest gap over which a body is followed, and over which its joints are interpolated."""
-
-
-@dataclass(slots=True, eq=False)
-class _Growing:
-    """Tracklet that is being followed."""
-
-    times_s: list[float] = field(default_factory=list)
-    points_px: list[np.ndarray] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,18 +53,18 @@ def follow_bodies(
     """
     points_px = _chosen(detected, joints, names)
     is_body = np.isfinite(points_px).all(-1).sum(-1) >= _MIN_JOINTS
-    points_px = points_px[is_body]
-    starts = np.searchsorted(detected.frame[is_body], np.arange(len(time_s) + 1))
-    done: list[_Growing] = []
-    growing: list[_Growing] = []
-    for frame in np.unique(detected.frame):
-        now_s = float(time_s[frame])
-        bodies = points_px[starts[frame] : starts[frame + 1]]
-        kept = [tracklet for tracklet in growing if now_s - tracklet.times_s[-1] <= MAX_GAP_S]
-        done += [tracklet for tracklet in growing if now_s - tracklet.times_s[-1] > MAX_GAP_S]
-        growing, ended = _continued(kept, bodies, now_s)
+    points_px, body_s = points_px[is_body], time_s[detected.frame[is_body]]
+    starts = np.searchsorted(detected.frame[is_body], np.arange(len(time_s) + 1)).tolist()
+    done: list[_Tracklet] = []
+    growing: list[_Tracklet] = []
+    for frame in np.unique(detected.frame).tolist():
+        is_near = [time_s[frame] - body_s[tracklet[-1]] <= MAX_GAP_S for tracklet in growing]
+        done += compress(growing, map(operator.not_, is_near))
+        growing = list(compress(growing, is_near))
+        bodies = range(starts[frame], starts[frame + 1])
+        growing, ended = _continued(growing, bodies, points_px, body_s)
         done += ended
-    return [Followed(np.array(tracklet.times_s), np.array(tracklet.points_px)) for tracklet in (*done, *growing)]
+    return [Followed(body_s[tracklet], points_px[tracklet]) for tracklet in (*done, *growing)]
 
 
 def _chosen(detected: Detections, joints: JointSet, names: Sequence[str]) -> Float[np.ndarray, "n joints 2"]:
@@ -82,68 +79,42 @@ def _chosen(detected: Detections, joints: JointSet, names: Sequence[str]) -> Flo
 
 
 def _continued(
-    growing: list[_Growing], bodies: Float[np.ndarray, "bodies joints 2"], now_s: float
-) -> tuple[list[_Growing], list[_Growing]]:
+    growing: list[_Tracklet],
+    bodies: range,
+    points_px: Float[np.ndarray, "n joints 2"],
+    body_s: Float[np.ndarray, " n"],
+) -> tuple[list[_Tracklet], list[_Tracklet]]:
     """Continue tracklets with the bodies of a frame.
 
     Returns tracklets that go on, new ones included, and those that end because more than one body may be theirs.
     """
     shift = np.full((len(growing), len(bodies)), np.inf)
-    if len(growing) and len(bodies):
-        shift = _shifts(_predicted_px(growing, now_s), bodies)
+    if shift.size:
+        early, last = np.array([[rows[-VELOCITY_FRAMES:][0], rows[-1]] for rows in growing]).T.copy()
+        values = np.empty((3, points_px.shape[1]))
+        measure_shifts(points_px, body_s, early, last, bodies.start, _MIN_JOINTS, values, shift)
     rows, columns = linear_sum_assignment(np.minimum(shift, 10.0))
     going, ended = [], []
     taken: set[int] = set()
     matched = dict(zip(rows.tolist(), columns.tolist(), strict=True))
+    by_tracklet, by_body = shift.tolist(), shift.T.tolist()
     for number, tracklet in enumerate(growing):
         column = matched.get(number)
-        if column is None or shift[number, column] > _MAX_SHIFT:
+        if column is None or by_tracklet[number][column] > _MAX_SHIFT:
             going.append(tracklet)
             continue
-        of_tracklet, of_body = shift[number].tolist(), shift[:, column].tolist()
-        own = of_tracklet.pop(column)
-        if own > _AMBIGUOUS * min(of_tracklet + of_body[:number] + of_body[number + 1 :], default=np.inf):
+        of_tracklet, of_body = by_tracklet[number], by_body[column]
+        others = of_tracklet[:column] + of_tracklet[column + 1 :] + of_body[:number] + of_body[number + 1 :]
+        if of_tracklet[column] > _AMBIGUOUS * min(others, default=np.inf):
             ended.append(tracklet)
             continue
-        tracklet.times_s.append(now_s)
-        tracklet.points_px.append(bodies[column])
+        tracklet.append(bodies[column])
         taken.add(column)
         going.append(tracklet)
-    going += [_Growing([now_s], [body]) for column, body in enumerate(bodies) if column not in taken]
+    going += [[body] for column, body in enumerate(bodies) if column not in taken]
     return going, ended
-
-
-def _predicted_px(growing: Sequence[_Growing], time_s: float) -> Float[np.ndarray, "tracklets joints 2"]:
-    """Joints at the mean velocity of the body over the last frames; NaN for joints not seen in the last one."""
-    last_px = np.array([tracklet.points_px[-1] for tracklet in growing])
-    last_s = np.array([tracklet.times_s[-1] for tracklet in growing])
-    moved = last_px - np.array([tracklet.points_px[-4:][0] for tracklet in growing])
-    since_s = last_s - np.array([tracklet.times_s[-4:][0] for tracklet in growing])
-    moved[~np.isfinite(moved).all(-1)] = np.nan
-    velocity = _medians(moved.swapaxes(1, 2)) / np.where(since_s > 0, since_s, 1.0)[:, None]
-    velocity[np.isnan(velocity)] = 0.0
-    return np.asarray(last_px + (velocity * (time_s - last_s)[:, None])[:, None])
-
-
-def _shifts(
-    predicted_px: Float[np.ndarray, "tracklets joints 2"], bodies_px: Float[np.ndarray, "bodies joints 2"]
-) -> Float[np.ndarray, "tracklets bodies"]:
-    """Median shift of the joints that both see, in heights of the body; infinite if they share too few."""
-    distance = np.linalg.norm(predicted_px[:, None] - bodies_px[None], axis=-1)
-    is_known = np.isfinite(distance)
-    enough = is_known.sum(-1) >= _MIN_JOINTS
-    median = np.full(enough.shape, np.inf)
-    median[enough] = _medians(distance[enough])
-    return median / np.maximum(_extents_px(bodies_px), 1.0)
 
 
 def _extents_px(points_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, " n"]:
     """Larger side of the box around each body's joints."""
     return np.asarray((np.fmax.reduce(points_px, axis=1) - np.fmin.reduce(points_px, axis=1)).max(-1))
-
-
-def _medians(values: Float[np.ndarray, "*n joints"]) -> Float[np.ndarray, "*n"]:
-    """Medians of each row without its NaN; for small arrays much faster than NumPy's."""
-    count = np.isfinite(values).sum(-1).ravel()
-    ordered, rows = np.sort(values, axis=-1).reshape(-1, values.shape[-1]), np.arange(len(count))
-    return np.asarray((ordered[rows, (count - 1) // 2] + ordered[rows, count // 2]) / 2).reshape(values.shape[:-1])

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.calibration.people.following import JOINTS, MAX_GAP_S, Followed, follow_bodies
+from pipeline.capture.synchronization.motion_kernels import fit_local_lines
 from pipeline.core.data.arrays import read_only
 from pipeline.core.data.cameras import Camera, FrameTimes
 from pipeline.core.data.detections import Detections
@@ -95,27 +96,11 @@ def _local_lines(
 ) -> tuple[Float[np.ndarray, "steps joints 2"], Float[np.ndarray, "steps joints 2"]]:
     """Values and slopes of lines that are fitted around each wanted time; NaN in gaps and beyond the frames."""
     period_s = float(np.median(np.diff(times_s)))
-    half = int(np.ceil(_KERNEL_REACH * kernel_s / period_s)) + 1
-    nearest = np.searchsorted(times_s, wanted_s)
-    rows = nearest[:, None] + np.arange(-half, half)
-    is_inside = (rows >= 0) & (rows < len(times_s))
-    rows = np.clip(rows, 0, len(times_s) - 1)
-    apart_s = times_s[rows] - wanted_s[:, None]
-    is_seen = np.isfinite(points).all(-1)[rows] & is_inside[..., None]
-    weight = np.exp(-0.5 * (apart_s / kernel_s) ** 2)[..., None] * is_seen
-    around = np.where(is_seen[..., None], points[rows], 0.0)
-    line = apart_s[..., None]
-    s0, s1, s2 = weight.sum(1), (weight * line).sum(1), (weight * line**2).sum(1)
-    t0, t1 = (weight[..., None] * around).sum(1), ((weight * line)[..., None] * around).sum(1)
+    reach = int(np.ceil(_KERNEL_REACH * kernel_s / period_s)) + 1
     # A joint must be seen near by, before and after.
     limit_s = min(MAX_GAP_S, 1.5 * period_s + kernel_s)
-    before = (is_seen & (apart_s > -limit_s)[..., None] & (apart_s <= 1e-9)[..., None]).any(1)
-    after = (is_seen & (apart_s < limit_s)[..., None] & (apart_s >= -1e-9)[..., None]).any(1)
-    spread = s0 * s2 - s1**2
-    is_known = before & after & (spread > 1e-3 * (s0 * kernel_s) ** 2)
-    over = 1.0 / np.where(is_known, spread, np.nan)[..., None]
-    value = (s2[..., None] * t0 - s1[..., None] * t1) * over
-    slope = (s0[..., None] * t1 - s1[..., None] * t0) * over
+    value, slope = np.empty((2, len(wanted_s), *points.shape[1:]))
+    fit_local_lines(times_s, points, wanted_s, kernel_s, reach, limit_s, np.empty(2 * reach), value, slope)
     return value, slope
 
 

@@ -13,6 +13,8 @@ from pipeline.core.runtime.jit import kernel
 _NUM_ROOT = 3
 # Squared angle below which sine and cosine of a rotation are replaced by their first terms.
 _TINY_RAD2 = 1e-12
+# Distance below which both ends of a limb are at the same position.
+_SAME_M = 1e-3
 
 
 @kernel
@@ -255,21 +257,126 @@ def squared_distances(ray, center_m, xyz_m, off_m2):
 
 @kernel
 @no_type_check
-def sum_normal_equations(ray, center_m, weight, normal, right):
+def sum_normal_equations(rays, center_m, weights, joint, xyz_m, scale_m, normal, right):
     """Add up the normal equations of a joint over its rays; ``normal`` and ``right`` are outputs.
 
-    A ray with unit vector r from c contributes its weight times ``I - r r^T`` and ``(I - r r^T) c``.
+    A ray with unit vector r from c contributes its weight times ``I - r r^T`` and ``(I - r r^T) c``. ``weights`` are
+    multiplied with the weights of the function of Geman and McClure with the scale ``scale_m`` at the position.
     """
     normal[:] = 0.0
     right[:] = 0.0
-    for frame in range(len(ray)):
+    for frame in range(len(rays)):
         for camera in range(len(center_m)):
-            along = 0.0
+            if weights[frame, camera, joint] == 0.0:
+                continue
+            ray, center = rays[frame, camera, joint], center_m[camera]
+            x, y, z = xyz_m[frame, 0] - center[0], xyz_m[frame, 1] - center[1], xyz_m[frame, 2] - center[2]
+            ahead_m = ray[0] * x + ray[1] * y + ray[2] * z
+            off_m2 = (x - ahead_m * ray[0]) ** 2 + (y - ahead_m * ray[1]) ** 2 + (z - ahead_m * ray[2]) ** 2
+            share = scale_m * scale_m / (off_m2 + scale_m * scale_m)
+            weight = weights[frame, camera, joint] * share * share
+            along = ray[0] * center[0] + ray[1] * center[1] + ray[2] * center[2]
             for row in range(3):
-                along += ray[frame, camera, row] * center_m[camera, row]
-            for row in range(3):
-                turned = weight[frame, camera] * ray[frame, camera, row]
-                right[frame, row] += weight[frame, camera] * center_m[camera, row] - turned * along
-                normal[frame, row, row] += weight[frame, camera]
+                turned = weight * ray[row]
+                right[frame, row] += weight * center[row] - turned * along
+                normal[frame, row, row] += weight
                 for column in range(3):
-                    normal[frame, row, column] -= turned * ray[frame, camera, column]
+                    normal[frame, row, column] -= turned * ray[column]
+
+
+@kernel
+@no_type_check
+def add_bone(here_m, other_m, length_m, weight, pulls, normal, right):
+    """Add the Newton terms of a limb's length in the frames in which it pulls; ``normal`` and ``right`` are outputs.
+
+    Of the matrices the upper triangles are added. There are no terms where the other end is unknown or at the same
+    position. Positive curvature across the limb is kept. Without it, a joint with few other constraints would diverge.
+    """
+    for frame in range(len(here_m)):
+        x, y, z = here_m[frame, 0], here_m[frame, 1], here_m[frame, 2]
+        u, v, w = x - other_m[frame, 0], y - other_m[frame, 1], z - other_m[frame, 2]
+        distance_m = np.sqrt(u * u + v * v + w * w)
+        if not (pulls[frame] and distance_m > _SAME_M):
+            continue
+        u, v, w = u / distance_m, v / distance_m, w / distance_m
+        across = max(1.0 - length_m / distance_m, 0.0) * weight
+        along = weight - across
+        pull = weight * (distance_m - length_m)
+        # Product of the curvature with the position, less the pull.
+        here = along * (u * x + v * y + w * z) - pull
+        right[frame, 0] += across * x + here * u
+        right[frame, 1] += across * y + here * v
+        right[frame, 2] += across * z + here * w
+        matrix = normal[frame]
+        matrix[0, 0] += across + along * u * u
+        matrix[1, 1] += across + along * v * v
+        matrix[2, 2] += across + along * w * w
+        matrix[0, 1] += along * u * v
+        matrix[0, 2] += along * u * w
+        matrix[1, 2] += along * v * w
+
+
+@kernel
+@no_type_check
+def _solve_banded(lower, solved, count):
+    """Solve a positive definite system of ``count`` unknowns in place; ``lower`` becomes Cholesky's factor."""
+    for i in range(count):
+        over = 1.0 / np.sqrt(lower[i, 0])
+        for k in range(lower.shape[1]):
+            lower[i, k] *= over
+        solved[i] *= over
+        for k in range(1, lower.shape[1]):
+            solved[i + k] -= lower[i, k] * solved[i]
+            for m in range(k, lower.shape[1]):
+                lower[i + k, m - k] -= lower[i, k] * lower[i, m]
+    for i in range(count - 1, -1, -1):
+        for k in range(1, lower.shape[1]):
+            solved[i] -= lower[i, k] * solved[i + k]
+        solved[i] /= lower[i, 0]
+
+
+@kernel
+@no_type_check
+def solve_over_time(normal, right, usual_m, heavy_tail, inertia, longest_m, lower, solved, xyz_m):
+    """Move a joint by a step of Newton's method: normal equations of all frames, coupled by the acceleration.
+
+    - ``normal``, ``right``: normal equations of the frames' evidence; of the matrices the upper triangles are read.
+    - ``usual_m``, ``heavy_tail``: usual second difference, and the factor at which Cauchy's function becomes
+      heavy-tailed.
+    - ``inertia``: weight that keeps the joint in place.
+    - ``longest_m``: longest step.
+    - ``lower``, ``solved``: workspace of zeros, (3 * frames + 8, 9) and (3 * frames + 8,).
+    - ``xyz_m``: positions, (frames, 3), changed in place.
+    """
+    num_frames = len(xyz_m)
+    # ``lower[i, k]`` is the element k rows below the diagonal of column i.
+    for frame in range(num_frames):
+        for row in range(3):
+            solved[3 * frame + row] = right[frame, row] + inertia * xyz_m[frame, row]
+            for column in range(row, 3):
+                lower[3 * frame + row, column - row] = normal[frame, row, column]
+            lower[3 * frame + row, 0] += inertia
+    for frame in range(num_frames - 2):
+        square_m2 = 0.0
+        for axis in range(3):
+            square_m2 += (xyz_m[frame, axis] - 2 * xyz_m[frame + 1, axis] + xyz_m[frame + 2, axis]) ** 2
+        usual_m2 = usual_m[frame + 1] ** 2
+        tie = 1.0 / (usual_m2 + square_m2 / heavy_tail**2)
+        for axis in range(3 * frame, 3 * frame + 3):
+            lower[axis, 0] += tie
+            lower[axis, 3] -= 2 * tie
+            lower[axis, 6] += tie
+            lower[axis + 3, 0] += 4 * tie
+            lower[axis + 3, 3] -= 2 * tie
+            lower[axis + 6, 0] += tie
+    _solve_banded(lower, solved, 3 * num_frames)
+    for frame in range(num_frames):
+        x, y, z = (
+            solved[3 * frame] - xyz_m[frame, 0],
+            solved[3 * frame + 1] - xyz_m[frame, 1],
+            solved[3 * frame + 2] - xyz_m[frame, 2],
+        )
+        share = min(1.0, longest_m / max(np.sqrt(x * x + y * y + z * z), 1e-9))
+        xyz_m[frame, 0] += share * x
+        xyz_m[frame, 1] += share * y
+        xyz_m[frame, 2] += share * z

@@ -18,13 +18,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import solveh_banded
 
 from pipeline.core.data.cameras import Camera, Timebase
 from pipeline.core.data.people import Observations, Track3D
 from pipeline.core.joints import LIMBS, JointSet
 from pipeline.core.progress import OnShare, ignore
 from pipeline.core.runtime import large_arrays
+from pipeline.core.runtime.jit import as_compiled
+from pipeline.motion.skeleton.fitting.fit_kernels import add_bone, solve_over_time
 from pipeline.motion.skeleton.fitting.rays import Rays
 from pipeline.motion.skeleton.landmarks import Landmarks, limb_lengths_m
 from pipeline.motion.skeleton.time_series import Blend, filled_linearly, filled_with_body, windows
@@ -47,8 +48,6 @@ _STEPS_OF_EXCHANGE = (0, 3, 6)
 _LONGEST_STEP_M = 0.3
 # Weight that keeps a joint in place if no other term does.
 _INERTIA = 1e-2
-# Coefficients of the second difference.
-_DIFFERENCE = np.array([1.0, -2.0, 1.0])
 _UNKNOWN = np.full(3, np.nan)
 MAX_GAP_S = 1.0
 """Longest gap between two measurements of a joint that is filled, and longest time in which a body is followed."""
@@ -153,65 +152,13 @@ def _fit_stretch(
             rays.exchange_sides(xyz_m, scale_m)
         for joint in located.tolist():
             normal, right = rays.normal_equations(joint, xyz_m[:, joint], scale_m)
+            here_m = as_compiled(xyz_m[:, joint])
             for other, length_m in limbs[joint] if step > 0 else ():
                 # In frames that are far apart, a joint that no camera saw is anywhere, and pulls none that was seen.
                 pulls = is_followed[other] | is_known[:, other] | ~is_known[:, joint]
-                _add_bone(normal, right, xyz_m[:, joint], xyz_m[:, other], length_m, pulls)
-            step_m = _solve(normal, right, xyz_m[:, joint], usual_m[:, joint]) - xyz_m[:, joint]
-            length_m = np.linalg.norm(step_m, axis=-1, keepdims=True)
-            xyz_m[:, joint] += step_m * np.minimum(1.0, _LONGEST_STEP_M / np.maximum(length_m, 1e-9))
+                add_bone(here_m, as_compiled(xyz_m[:, other]), length_m, _BONE_SIGMA_M**-2, pulls, normal, right)
+            lower, solved = np.zeros((3 * len(here_m) + 8, 9)), np.zeros(3 * len(here_m) + 8)
+            usual = as_compiled(usual_m[:, joint])
+            solve_over_time(normal, right, usual, _HEAVY_TAIL, _INERTIA, _LONGEST_STEP_M, lower, solved, here_m)
+            xyz_m[:, joint] = here_m
     return xyz_m
-
-
-def _add_bone(
-    normal: Float[np.ndarray, "frames 3 3"],
-    right: Float[np.ndarray, "frames 3"],
-    here_m: Float[np.ndarray, "frames 3"],
-    other_m: Float[np.ndarray, "frames 3"],
-    length_m: float,
-    pulls: Bool[np.ndarray, " frames"],
-) -> None:
-    """Add the Newton terms of a limb's length, in place, in the frames in which it pulls.
-
-    There are none where the other end is unknown or at the same position.
-
-    Positive curvature across the limb is kept. Without it, a joint with few other constraints would diverge.
-    """
-    along_m = here_m - other_m
-    distance_m = np.linalg.norm(along_m, axis=-1)
-    usable = pulls & (distance_m > 1e-3)
-    distance_m = np.where(usable, distance_m, 1.0)
-    unit = np.where(usable[:, None], along_m / distance_m[:, None], 0.0)
-    across = np.where(usable, np.maximum(1.0 - length_m / distance_m, 0.0), 0.0)
-    outer = unit[:, :, None] * unit[:, None, :]
-    curvature = (outer + across[:, None, None] * (np.eye(3) - outer)) / _BONE_SIGMA_M**2
-    pull = np.where(usable, distance_m - length_m, 0.0)[:, None] * unit / _BONE_SIGMA_M**2
-    normal += curvature
-    right += (curvature @ here_m[..., None])[..., 0] - pull
-
-
-def _solve(
-    normal: Float[np.ndarray, "frames 3 3"],
-    right: Float[np.ndarray, "frames 3"],
-    before_m: Float[np.ndarray, "frames 3"],
-    usual_m: Float[np.ndarray, " frames"],
-) -> Float[np.ndarray, "frames 3"]:
-    """Solve for a joint over time: normal equations of all frames, coupled by the acceleration."""
-    num_frames = len(normal)
-    # Row d of a banded matrix holds its d-th upper diagonal, at the column of the later unknown.
-    banded = np.zeros((9, num_frames, 3))
-    for row in range(3):
-        for column in range(row, 3):
-            banded[8 - (column - row), :, column] += normal[:, row, column]
-    banded[8] += _INERTIA
-    if num_frames > 2:
-        second_m = before_m[2:] - 2 * before_m[1:-1] + before_m[:-2]
-        tie = tie_weight(second_m, usual_m[1:-1])
-        for row in range(3):
-            for column in range(row, 3):
-                tied = slice(column, num_frames - 2 + column)
-                banded[8 - 3 * (column - row), tied] += (_DIFFERENCE[row] * _DIFFERENCE[column] * tie)[:, None]
-    solved: np.ndarray = solveh_banded(
-        banded.reshape(9, -1), (right + _INERTIA * before_m).ravel(), overwrite_ab=True, check_finite=False
-    )
-    return solved.reshape(-1, 3)

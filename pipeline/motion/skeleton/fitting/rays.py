@@ -58,8 +58,11 @@ class Rays:
 
         ``scale_m`` is c of the function of Geman and McClure.
         """
-        robust = self._weight[:, :, joint] * (scale_m**2 / (self._off_m2(joint, xyz_m) + scale_m**2)) ** 2
-        return self._summed(joint, robust)
+        normal, right = np.empty((len(xyz_m), 3, 3)), np.empty((len(xyz_m), 3))
+        sum_normal_equations(
+            self._rays, self._centers_m, self._weight, joint, as_compiled(xyz_m), scale_m, normal, right
+        )
+        return normal, right
 
     def precision(
         self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
@@ -76,7 +79,7 @@ class Rays:
         # Of the squared distance to a ray, each of two axes has a half.
         residual = float((robust * off_m2)[counted].sum()) / 2
         noise = (residual + _NUM_PROMISED) / (int(counted.sum()) + _NUM_PROMISED)
-        return self._summed(joint, robust)[0] / noise
+        return self.normal_equations(joint, xyz_m, scale_m)[0] / noise
 
     def disagreement(
         self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
@@ -123,13 +126,6 @@ class Rays:
         off_m2 = np.empty(self._weight.shape[:2])
         squared_distances(self._rays[:, :, joint], self._centers_m, as_compiled(xyz_m), off_m2)
         return off_m2
-
-    def _summed(
-        self, joint: int, weight: Float[np.ndarray, "frames cameras"]
-    ) -> tuple[Float[np.ndarray, "frames 3 3"], Float[np.ndarray, "frames 3"]]:
-        normal, right = np.empty((len(weight), 3, 3)), np.empty((len(weight), 3))
-        sum_normal_equations(self._rays[:, :, joint], self._centers_m, weight, normal, right)
-        return normal, right
 
 
 def _pairs(joints: JointSet) -> Iterator[tuple[list[int], list[int]]]:
