@@ -86,8 +86,8 @@ def find_stances(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> St
         _end_at_rise(stands[:, column], track.xyz_m[:, mark, 2], rate_hz)
     strikes = [swing.strike.row for swing in swings if swing.strike is not None]
     for start, stop in find_runs(np.asarray(~stands.any(1))):
-        # A gap between contacts is a flight if a foot strikes at its end.
-        if start and any(abs(row - stop) <= 2.0 * _EDGE_S * rate_hz for row in strikes):
+        # A gap between contacts is a flight if a foot strikes at its end; feet that land on the toes strike late.
+        if start and not flies[start:stop].any() and any(abs(row - stop) <= 2.0 * _EDGE_S * rate_hz for row in strikes):
             flies[start:stop] = True
     stands &= ~flies[:, None]
     edges = np.ones(2 * max(round(_EDGE_S * rate_hz), 1) + 1, bool)

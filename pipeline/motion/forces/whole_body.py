@@ -32,8 +32,9 @@ _MEMORY_S, _IMPACT_S = 0.14, 0.08
 # Deviation in flights, by the same.
 _FALL_M_S2 = 0.03 * GRAVITY_M_S2
 # Usual error of a marker on the skin (Peters et al., "Quantification of soft tissue artifact in lower limb human motion
-# analysis: a systematic review", Gait & Posture 31, 2010).
-_SKIN_M = 0.005
+# analysis: a systematic review", Gait & Posture 31, 2010). Its share in the body's acceleration, by which it swings
+# after impacts.
+_SKIN_M, _SWINGING = 0.005, 0.1
 _EARS = tuple(f"{side}_ear" for side in SIDES)
 
 
@@ -85,6 +86,7 @@ def body_in_motion(
 
     The deviation of the acceleration has four parts: noise, errors that last, the table of segments, and movements
     faster than the cutoff. Of the last ones, the octave below the cutoff tells: an impact carries about as much above.
+    Markers, which state no deviation, swing on the skin as well.
 
     ``flies``: frames in which the body surely touches nothing. ``None`` if joints of the body are
     missing, or the track is too short.
@@ -126,16 +128,18 @@ def body_in_motion(
         raw.append(smoother.acceleration(path_m[..., axis] @ masses.mass))
         slower = replace(smoother, penalty=2.0**6 * smoother.penalty)
         fallen_m[:, axis], slow_m = (of.path_with_falls(body_m, noise_m, flies)[:, axis] for of in (smoother, slower))
-        octave = smoother.acceleration(fallen_m[:, axis] - slow_m)
-        beyond = gaussian_filter1d(octave**2, _IMPACT_S * rate_hz, mode="nearest")
+        beyond = _size_around(smoother.acceleration(fallen_m[:, axis] - slow_m), rate_hz)
         white, lasting = smoother.acceleration_gains(correlation).T
         # Tables of other bodies: half of the difference of two of them is the deviation of one.
         table = smoother.acceleration(smoother.path(other_m[:, axis] - body_m[:, axis])) / 2.0
-        sigma[:, axis] = np.sqrt((white * noise_m) ** 2 + (lasting * stated_m) ** 2 + table**2 + beyond)
+        sigma[:, axis] = np.sqrt((white * noise_m) ** 2 + (lasting * stated_m) ** 2 + table**2 + beyond**2)
         smoothers.append(smoother)
-    sigma[flies] = np.minimum(sigma[flies], _FALL_M_S2)
     path_m += (fallen_m - np.einsum("s,fsk->fk", masses.mass, path_m))[:, None]
     acceleration = np.stack([smoothers[axis].acceleration(path_m[..., axis]) for axis in range(3)], axis=-1)
+    if track.uncertainty_m is None:
+        size = np.linalg.norm(np.einsum("s,fsk->fk", masses.mass, acceleration), axis=1)
+        sigma = np.hypot(sigma, _SWINGING * _size_around(size, rate_hz)[:, None])
+    sigma[flies] = np.minimum(sigma[flies], _FALL_M_S2)
     rates = {name: _rates(turn, rate_hz) for name, turn in world_from_segment.items()}
     inertia_m2 = (masses.radii * np.median(length_m, axis=0)[:, None]) ** 2 * masses.mass[:, None]
     omega = np.stack([rates[name] for name in masses.orientations], axis=1)
@@ -163,6 +167,11 @@ def body_in_motion(
 def _tables(subject: Subject) -> tuple[str, str]:
     """Table of a person, and the other one."""
     return (subject.table, "dumas" if subject.table == "de-leva" else "de-leva")
+
+
+def _size_around(values: Float[np.ndarray, " frames"], rate_hz: float) -> Float[np.ndarray, " frames"]:
+    """Root mean square around each frame."""
+    return np.asarray(np.sqrt(gaussian_filter1d(values**2, _IMPACT_S * rate_hz, mode="nearest")))
 
 
 def _rates(turns: Float[np.ndarray, "frames 3 3"], rate_hz: float) -> Float[np.ndarray, "frames 3"]:

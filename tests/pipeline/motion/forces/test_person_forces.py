@@ -1,17 +1,22 @@
 """Forces of simulated people, whose true forces are known."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from pipeline.core.data.animation import Side
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.laboratory import LaboratoryStart
 from pipeline.core.data.reconstruction import Subject
 from pipeline.motion.balance.compute import GRAVITY_M_S2
+from pipeline.motion.forces import feet
 from pipeline.motion.forces.body_mass import body_mass, mass_by_stature_kg, stature_m
+from pipeline.motion.forces.feet import find_stances
 from pipeline.motion.forces.joint_moments import MOMENT_NAMES
 from pipeline.motion.forces.person_forces import PersonForces, forces_document, forces_of, touching
+from pipeline.motion.gait.events import FootEvent, Swing
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.forces.physical_people import estimated, solved, truth_of
 from tests.pipeline.motion.gait.walks import Act, body_only, exercise, walk
@@ -150,6 +155,18 @@ def test_forces_of_a_person_who_leans_are_undetermined() -> None:
     assert np.isfinite(forces.total).all()
 
 
+def test_heels_that_strike_late_prolong_no_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    animation, truth = solved(JUMP), truth_of(JUMP)
+    landing = int(np.flatnonzero(truth.flies)[-1]) + 1
+    motion = animation.motions[0]
+    motion = replace(motion, contacts=tuple(of for of in motion.contacts if of.rows.stop < landing))
+    heels = [Swing(side, None, FootEvent("foot_strike", side, landing + 8.0, 0.0, 1.0)) for side in get_args(Side)]
+    monkeypatch.setattr(feet, "find_swings", lambda _: heels)
+    stances = find_stances(motion, animation.tracks[0], JUMP.joints)
+    assert stances.flies[landing - 5]
+    assert not stances.flies[landing:].any()
+
+
 def test_deviations_cover_landings() -> None:
     forces, flies = estimated(JUMP), truth_of(JUMP).flies
     landings = np.flatnonzero(flies[:-1] & ~flies[1:])
@@ -160,6 +177,19 @@ def test_deviations_cover_landings() -> None:
     # A flight is known better, and so is a body at rest, whose movements have no fast parts.
     assert forces.total_sigma[forces.flies].max() < 0.04 * GRAVITY_M_S2
     assert np.median(forces.total_sigma[rows, 2]) > 5.0 * np.median(estimated(SQUAT).total_sigma[:, 2])
+
+
+def test_markers_swing_with_the_body() -> None:
+    animation = solved(JUMP)
+    track = replace(animation.tracks[0], uncertainty_m=np.full(animation.tracks[0].xyz_m.shape[:2], 0.005))
+    located = forces_of(animation.motions[0], track, JUMP.joints, Subject(), animation.floor)
+    assert located is not None
+    wider = np.sqrt(estimated(JUMP).total_sigma ** 2 - located.total_sigma**2) / GRAVITY_M_S2
+    lands = np.flatnonzero(located.flies[:-1] & ~located.flies[1:]) + 4
+    assert ((wider[lands] > 0.06) & (wider[lands] < 0.25)).all()
+    assert wider[located.flies].max() < 0.04
+    # It stands between two jumps.
+    assert wider[~located.flies].min() < 0.02
 
 
 def test_moment_of_standing_knee_is_force_times_lever() -> None:
