@@ -34,7 +34,6 @@ from pipeline.video.images.files import SEQUENCE
 from pipeline.video.images.image_probe import at_rate
 from pipeline.video.info import VideoInfo
 from pipeline.video.joined import join_parts, seam_problems
-from pipeline.video.probe_process import probe_in_children
 from pipeline.video.timeline import cut_timebase, recorded_stretches, require_frames, session_timebase
 
 
@@ -179,8 +178,9 @@ def open_session(
     >>> [video.num_frames for video in session.videos]
     [3, 3, 3]
     """
-    given = Path(videos) if isinstance(videos, str | os.PathLike) else [Path(video) for video in videos]
-    files = find_videos(given)
+    from pipeline.video.probe_process import probe_in_children  # noqa: PLC0415 - loads FFmpeg, which only this needs
+
+    files = find_videos(Path(videos) if isinstance(videos, str | os.PathLike) else [Path(video) for video in videos])
     findings, problems = [*files.findings], files.problems(1 if calibration is None else MIN_CAMERAS)
     cameras: tuple[Camera, ...] = ()
     if calibration is not None:

@@ -47,13 +47,10 @@ def distort(
     x, y = points[..., 0], points[..., 1]
     r2 = x * x + y * y
     radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + s2 * r2),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + s4 * r2),
-        ],
-        axis=-1,
-    )
+    distorted = np.empty(points.shape)
+    distorted[..., 0] = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) + r2 * (s1 + s2 * r2)
+    distorted[..., 1] = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y + r2 * (s3 + s4 * r2)
+    return distorted
 
 
 def bend(camera: Camera, points: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
@@ -79,10 +76,11 @@ def rays_in_world(camera: Camera, points_px: Float[np.ndarray, "*batch 2"]) -> F
     A ray starts at ``center_in_world(camera)`` (Chen et al. 2020, eq. 3). NaN stays NaN.
     """
     inverse = np.linalg.inv(camera.matrix)
-    normalised = points_px @ inverse[:2, :2].T + inverse[:2, 2]
-    in_cam = np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
-    directions = in_cam @ camera.cam_from_world.rotation
-    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+    normalised = points_px.reshape(-1, 2) @ inverse[:2, :2].T + inverse[:2, 2]
+    rotation = camera.cam_from_world.rotation
+    directions = normalised @ rotation[:2] + rotation[2]
+    directions /= np.sqrt(1.0 + normalised[:, :1] ** 2 + normalised[:, 1:] ** 2)
+    return directions.reshape(*points_px.shape[:-1], 3)
 
 
 def look_at(center_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Rigid3:

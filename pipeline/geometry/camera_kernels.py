@@ -16,7 +16,8 @@ from pipeline.geometry.kernels import BLOCK_JOINTS, POINT_DTYPE, VECTOR_JOINTS, 
 @cache
 def block_dtype(size: int) -> np.dtype:
     """Record of a block of points for undistortion."""
-    return record_dtype(*((name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y")))
+    values = ((name, np.float64, (size,)) for name in ("x", "y", "goal_x", "goal_y"))
+    return record_dtype(*values, ("place", np.int64, (size,)))
 
 
 class Lenses(NamedTuple):
@@ -171,11 +172,16 @@ def undistort(points, d, num_steps, tolerance, blocks):
     size = block.x.shape[0]
     k1, k2, p1, p2, k3, k4, k5, k6 = d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]
     s1, s2, s3, s4 = d[8], d[9], d[10], d[11]
-    for start in range(0, len(points), size):
-        stop = min(start + size, len(points))
-        for i in range(stop - start):
-            block.goal_x[i], block.goal_y[i] = points[start + i, 0], points[start + i, 1]
-            block.x[i], block.y[i] = points[start + i, 0], points[start + i, 1]
+    start = 0
+    while start < len(points):
+        num_known = 0
+        while start < len(points) and num_known < size:
+            if points[start, 0] == points[start, 0]:
+                block.place[num_known] = start
+                block.goal_x[num_known], block.goal_y[num_known] = points[start, 0], points[start, 1]
+                block.x[num_known], block.y[num_known] = points[start, 0], points[start, 1]
+                num_known += 1
+            start += 1
         for _ in range(num_steps):
             num_open = 0.0
             for i in range(size):
@@ -202,5 +208,5 @@ def undistort(points, d, num_steps, tolerance, blocks):
                 num_open += 1.0 if (off_u * off_u + off_v * off_v) * over > tolerance * tolerance else 0.0
             if num_open == 0:
                 break
-        for i in range(stop - start):
-            points[start + i, 0], points[start + i, 1] = block.x[i], block.y[i]
+        for i in range(num_known):
+            points[block.place[i], 0], points[block.place[i], 1] = block.x[i], block.y[i]

@@ -25,7 +25,6 @@ from pipeline.core.findings import Finding, from_problem
 from pipeline.core.joints import JointSet
 from pipeline.core.problems.finding_codes import CLOCK_MEASURED, SYNC_AS_DECLARED, SYNC_BEYOND_DECLARED
 from pipeline.core.progress import OnShare, ignore
-from pipeline.video.sound import listen_in_child
 from pipeline.video.timeline import session_timebase
 
 # Standard deviations by which a measured offset may differ from the declared one; and the difference that is always
@@ -130,6 +129,8 @@ def listen(session: Session, reading: Callable[[str], AbstractContextManager[Non
 
     ``reading`` gives the block in which the video of a camera can be read, by the camera's name.
     """
+    from pipeline.video.sound import listen_in_child  # noqa: PLC0415 - loads FFmpeg, and seldom needed
+
     sounds: dict[str, Float32[np.ndarray, " ms"] | str] = {}
     for camera, video in session.camera_videos.items():
         declared_s = session.times[camera].time_s[[0, -1]]

@@ -26,7 +26,8 @@ class Rigid3:
 
     def apply(self, points_m: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch 3"]:
         """Map points (metres) from frame a to frame b; NaN stays NaN."""
-        return points_m @ self.rotation.T + self.translation_m
+        # One large product: NumPy computes a stack of small products one by one.
+        return (points_m.reshape(-1, 3) @ self.rotation.T + self.translation_m).reshape(points_m.shape)
 
     @property
     def matrix(self) -> Float[np.ndarray, "3 4"]:

@@ -64,7 +64,7 @@ def from_axes(
     valid = np.linalg.norm(np.where(np.isfinite(behind), behind, 0.0), axis=-1) > _MIN_AXES_SINE
     y = unit(behind)
     matrices = np.stack([x, y, np.cross(x, y)], axis=-1)
-    return Rotation.from_matrix(np.where(valid[:, None, None], matrices, np.eye(3))), valid
+    return Rotation.from_matrix(np.where(valid[:, None, None], matrices, np.eye(3)), assume_valid=True), valid
 
 
 def align(start: Float[np.ndarray, "frames vectors 3"], end: Float[np.ndarray, "frames vectors 3"]) -> Rotation:
@@ -77,7 +77,7 @@ def align(start: Float[np.ndarray, "frames vectors 3"], end: Float[np.ndarray, "
     covariance = np.einsum("fvi,fvj->fij", np.where(known, end, 0.0), np.where(known, start, 0.0))
     left, _, right = np.linalg.svd(covariance)
     left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    return Rotation.from_matrix(left @ right)
+    return Rotation.from_matrix(left @ right, assume_valid=True)
 
 
 def filled(rotation: Rotation, valid: Bool[np.ndarray, " frames"]) -> Rotation:

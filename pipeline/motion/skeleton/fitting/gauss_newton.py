@@ -62,7 +62,10 @@ class JointPoses:
     def quat_xyzw(self) -> Float[np.ndarray, "frames joints 4"]:
         """Rotations of all joints to their parents as quaternions (x, y, z, w), continuous in time."""
         joints = range(self.local.shape[1])
-        return np.stack([continuous_quat_xyzw(Rotation.from_matrix(self.local[:, joint])) for joint in joints], axis=1)
+        return np.stack(
+            [continuous_quat_xyzw(Rotation.from_matrix(self.local[:, joint], assume_valid=True)) for joint in joints],
+            axis=1,
+        )
 
 
 def start_from(
@@ -231,7 +234,7 @@ def _draw_to_rest(
     turning = {n: int(skeleton.freedom_joint[n, 0]) for n, freedom in drawn if freedom.limits_rad is None}
     joints = sorted(set(turning.values()))
     local = bodies.local[:, joints]
-    rotvec = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_rotvec().reshape(*local.shape[:2], 3)
+    rotvec = Rotation.from_matrix(local.reshape(-1, 3, 3), assume_valid=True).as_rotvec().reshape(*local.shape[:2], 3)
     for number, freedom in drawn:
         angle_rad = (
             rotvec[:, joints.index(turning[number])] @ np.array(freedom.axis)
@@ -258,13 +261,13 @@ def _steady_twist(
         first = next(n for n, freedom in enumerate(skeleton.freedoms, NUM_ROOT) if freedom.joints == (twist.joint,))
         bone = np.array(SKELETON[INDEX[twist.child]].rest_direction)
         local = bodies.local[:, joint]
-        angle_rad, gradient = _twist(Rotation.from_matrix(local).as_quat(), bone)
+        angle_rad, gradient = _twist(Rotation.from_matrix(local, assume_valid=True).as_quat(), bone)
         beyond_rad = angle_rad - np.clip(angle_rad, *twist.limits_rad)
         weight = 1.0 / _TWIST_RAD**2 + (beyond_rad != 0.0) / _TWIST_LIMIT_RAD**2
         force_rad = -(angle_rad / _TWIST_RAD**2 + beyond_rad / _TWIST_LIMIT_RAD**2)
         # Rotation from each frame to the next in the joint's axes; its component along the bone is the change of twist.
         relative = np.einsum("fba,fbc->fac", local[:-1], local[1:])
-        change_rad = Rotation.from_matrix(relative).as_rotvec() @ bone
+        change_rad = Rotation.from_matrix(relative, assume_valid=True).as_rotvec() @ bone
         before = -relative @ bone
         tied = np.full(len(change_rad), 1.0 / usual_change_rad**2)
         if bodies.is_tied is not None:
