@@ -50,7 +50,7 @@ class LazyGroup(TyperGroup):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
         for name, sentence in COMMANDS.items():
-            self.add_command(TyperCommand(name, callback=None, help=sentence))
+            self.add_command(TyperCommand(name, callback=None, short_help=sentence))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """Find the command by the first word and import it."""
@@ -70,6 +70,8 @@ def load(name: str) -> Any:
     module = importlib.import_module(f"{__package__}.commands.{name}")
     if hasattr(module, "app"):
         command: Any = get_group(module.app)
+        for each in command.commands.values():
+            each.short_help = each.help.partition("\n\n")[0]  # whole, where Typer would cut it
     else:
         alone = typer.Typer(add_completion=False)
         alone.command()(module.command)
@@ -78,7 +80,7 @@ def load(name: str) -> Any:
     return command
 
 
-app = typer.Typer(name="multicap", cls=LazyGroup, no_args_is_help=True, pretty_exceptions_show_locals=False)
+app = typer.Typer(name="multicap", cls=LazyGroup, no_args_is_help=True)
 
 
 def _show_version(wanted: bool) -> None:

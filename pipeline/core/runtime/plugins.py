@@ -4,6 +4,7 @@ import importlib
 import pkgutil
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import entry_points
 from types import ModuleType
 from typing import TypeVar
@@ -23,6 +24,7 @@ class FormatReader:
     name: str
 
 
+_entry_points = cache(entry_points)  # the search takes some milliseconds
 _Plugin = TypeVar("_Plugin")
 _Reader = TypeVar("_Reader", bound=FormatReader)
 
@@ -33,7 +35,7 @@ def load_plugins(group: str, kind: type[_Plugin]) -> dict[str, _Plugin]:
     Objects that can't be loaded or are of another kind are left out, with a ``PluginWarning`` that names the package.
     """
     plugins = {}
-    for point in sorted(entry_points(group=group)):
+    for point in sorted(_entry_points().select(group=group)):
         try:
             plugin = point.load()
             if not isinstance(plugin, kind):
