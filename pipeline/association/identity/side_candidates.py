@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float
 
 from pipeline.association.identity.limbs import LimbPair
 from pipeline.association.identity.side_kernels import add_gains
+from pipeline.motion.skeleton.fitting.fit_kernels import sum_normal_equations
 
 NUM_CANDIDATES = 4
 """Labels of the views that are kept in each frame."""
@@ -84,8 +85,8 @@ def _gains(rays: SeenRays, limbs: LimbPair) -> Float[np.ndarray, "frames cameras
     return gain
 
 
-# Scales of the function of Geman and McClure, one a step.
-_SCALES_M = (0.3, 0.2, SCALE_M, SCALE_M)
+# Scales of the function of Geman and McClure, one a step; in the first step all rays count.
+_SCALES_M = (1e9, 0.3, 0.2, SCALE_M)
 # Least eigenvalue of the normal equations, in views with score 1: below, the rays do not tell the depth.
 _LEAST_EIGENVALUE = 0.01
 _INERTIA = 1e-9
@@ -103,23 +104,23 @@ def locate_limbs(
     rays: SeenRays, limbs: LimbPair, exchanged: Bool[np.ndarray, "frames candidates cameras"]
 ) -> LocatedLimbs:
     """Triangulate the joints of both limbs for each candidate, robustly (iteratively reweighted least squares)."""
+    shape = (*exchanged.shape[:2], len(limbs.both))
     here = exchanged[:, :, None]
     direction, weight = rays.direction.swapaxes(1, 2)[:, None], rays.weight.swapaxes(1, 2)[:, None]
     direction = np.where(here[..., None], direction[:, :, limbs.exchanged], direction[:, :, limbs.both])
     weight = np.where(here, weight[:, :, limbs.exchanged], weight[:, :, limbs.both])
-    along_m = (direction * rays.center_m).sum(-1)
-    is_located = (weight > 0).sum(-1) >= 2
-    robust = weight
+    direction, weight = direction.reshape(-1, *direction.shape[3:]), weight.reshape(-1, weight.shape[3])
+    xyz_m, normal, right = np.zeros((len(weight), 3)), np.empty((len(weight), 3, 3)), np.empty((len(weight), 3))
+    seen = direction[:, :, None], rays.center_m, weight[..., None], 0
     for scale_m in _SCALES_M:
-        # Sums over the views of I - d dᵀ, which leaves what is across a ray with direction d.
-        normal = (robust.sum(-1) + _INERTIA)[..., None, None] * np.eye(3)
-        normal -= (robust[..., None] * direction).swapaxes(-1, -2) @ direction
-        right = robust @ rays.center_m - ((robust * along_m)[..., None, :] @ direction)[..., 0, :]
-        xyz_m = np.linalg.solve(normal, right[..., None])[..., 0]
-        from_center_m2 = ((xyz_m[..., None, :] - rays.center_m) ** 2).sum(-1)
-        off_m2 = np.maximum(from_center_m2 - ((direction @ xyz_m[..., None])[..., 0] - along_m) ** 2, 0.0)
-        robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
-    residual = np.where(is_located[..., None], weight * off_m2 / (off_m2 + SCALE_M**2), 0.0).sum((2, 3))
-    is_located &= np.linalg.eigvalsh(normal)[..., 0] > _LEAST_EIGENVALUE
-    xyz_m = np.where(is_located[..., None], xyz_m, np.nan)
-    return LocatedLimbs(xyz_m.reshape(*xyz_m.shape[:2], 2, len(limbs.left), 3), residual)
+        sum_normal_equations(*seen, xyz_m, scale_m, normal, right)
+        normal += _INERTIA * np.eye(3)
+        xyz_m[:] = np.linalg.solve(normal, right[..., None])[..., 0]
+    from_center_m = xyz_m[:, None] - rays.center_m
+    along_m2 = np.vecdot(direction, from_center_m) ** 2
+    off_m2 = np.maximum(np.vecdot(from_center_m, from_center_m) - along_m2, 0.0)
+    is_located = (weight > 0).sum(-1) >= 2
+    residual = np.where(is_located, (weight * off_m2 / (off_m2 + SCALE_M**2)).sum(-1), 0.0).reshape(shape).sum(-1)
+    is_located &= np.linalg.eigvalsh(normal)[:, 0] > _LEAST_EIGENVALUE
+    xyz_m[~is_located] = np.nan
+    return LocatedLimbs(xyz_m.reshape(*shape[:2], 2, len(limbs.left), 3), residual)
