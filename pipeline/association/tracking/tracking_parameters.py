@@ -18,6 +18,10 @@ _JOINT_SPEED_M_S = 3.0
 _WALK_M_S = 1.4
 _ALPHA_3D_M = 0.15
 _CONFIRM_INSTANTS = 3
+# Rate up to which people are found at each instant by itself: photographs are numbered by seconds, however far apart
+# they were taken.
+_INSTANTS_HZ = 1.0
+_MAX_UNSEEN_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +43,7 @@ class TrackingParameters:
     min_score: float = 0.15  # Least score of a joint that is used
     confirm_instants: int = _CONFIRM_INSTANTS  # Number of instants at which two cameras must see a target to confirm it
     # Time after which a confirmed or a tentative target ends if no two cameras see it
-    max_unseen_s: float = 2.0
+    max_unseen_s: float = _MAX_UNSEEN_S
     max_unseen_tentative_s: float = 0.2
     max_extrapolation_s: float = 0.25  # Time after which predictions (eq. 5) stand still
     # Speed at which a lost target may leave its predicted path and still be matched on return
@@ -64,6 +68,9 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
     ``alpha_2d`` is 3 m/s and ``alpha_epipolar`` is ``alpha_3d``, both projected at the viewed point. Penalty rates are
     the paper's for 25 frames a second (lambda_a 5, lambda_t 10), scaled by the frame rate.
 
+    Up to a frame a second targets end before the next frame: a person near the place of another person in the frame
+    before would be taken for that one.
+
     A single instant confirms a person where people walk farther than ``alpha_3d`` from one frame to the next, as in
     time-lapse and photographs: without a velocity the target can't be matched again. Tracks that may be chance are left
     out afterwards (``identity.spurious_tracks``).
@@ -79,11 +86,13 @@ def derive_parameters(cameras: Sequence[Camera], frame_rate_hz: float) -> Tracki
         )
     )
     may_follow = _ALPHA_3D_M * frame_rate_hz >= _WALK_M_S
+    instant_s = 0.75 / frame_rate_hz
     return TrackingParameters(
         alpha_2d_px_s=_JOINT_SPEED_M_S * scale_px_m,
         alpha_epipolar_px=_ALPHA_3D_M * scale_px_m,
         lambda_a_hz=0.2 * frame_rate_hz,
         lambda_t_hz=0.4 * frame_rate_hz,
-        instant_s=0.75 / frame_rate_hz,
+        instant_s=instant_s,
         confirm_instants=_CONFIRM_INSTANTS if may_follow else 1,
+        max_unseen_s=_MAX_UNSEEN_S if frame_rate_hz > _INSTANTS_HZ else instant_s,
     )

@@ -178,6 +178,23 @@ def test_person_out_of_walking_reach_is_new(ring: tuple[Camera, ...]) -> None:
     assert [(track.start_frame, track.num_frames) for track in tracks] == [(0, 20), (38, 12)]
 
 
+def test_photographs_a_second_apart_are_each_read_alone(ring: tuple[Camera, ...]) -> None:
+    """Four people stand elsewhere in each picture, often near the place of another person in the picture before."""
+    rng = np.random.default_rng(4)
+    corners_m = np.array([(x, y, 0.0) for x in (-0.8, 0.0, 0.8) for y in (-0.8, 0.0, 0.8)])
+    places_m = np.array([rng.permutation(corners_m)[:4] for _ in range(NUM_FRAMES)]).swapaxes(0, 1)
+    people_m = body() + places_m[:, :, None] + rng.normal(0.0, 0.02, (4, NUM_FRAMES, 17, 3))
+    pictures = {camera.name: FrameTimes(np.arange(float(NUM_FRAMES))) for camera in ring[:3]}
+    detections = {camera.name: detections_of(camera, people_m) for camera in ring[:3]}
+    timebase, parameters = Timebase(0.0, 1.0, NUM_FRAMES), derive_parameters(ring[:3], 1.0)
+    tracks, _ = reconstruct_tracks(ring[:3], pictures, detections, timebase, parameters)
+    found = np.full((len(tracks), NUM_FRAMES, 17, 3), np.nan)
+    for number, track in enumerate(tracks):
+        found[number, track.start_frame : track.start_frame + track.num_frames] = track.xyz_m
+    apart_m = np.linalg.norm(found[:, None] - people_m, axis=-1).mean(-1)
+    assert (np.nanmin(np.nan_to_num(apart_m, nan=np.inf), axis=0) < 0.1).mean() > 0.99
+
+
 def test_short_gaps_of_joint_are_interpolated_and_marked(ring: tuple[Camera, ...]) -> None:
     people_m = two_walkers()[:1]
     detections = {}
