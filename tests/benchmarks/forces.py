@@ -4,6 +4,7 @@ The folder has files of github.com/opensim-org/opensim-models (docs/lab/forces-n
 Forces are in % of body weight, moments in N m for each kilogram of the body.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -15,8 +16,9 @@ from pipeline.capture.points import open_points
 from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.joints import SIDES
 from pipeline.motion.balance.compute import GRAVITY_M_S2
-from pipeline.motion.forces.joint_moments import MOMENT_NAMES
+from pipeline.motion.forces.joint_moments import MOMENT_NAMES, JointMoments, joint_moments
 from pipeline.motion.forces.person_forces import PersonForces, forces_of
+from pipeline.motion.forces.whole_body import body_in_motion
 from pipeline.run.engine.local import reconstruct
 
 Names = tuple[str, str, str]
@@ -72,9 +74,15 @@ TRIALS = {
         65.9,
     ),
 }
+# Least share of body weight of a loaded plate.
+_LOADED = 0.05
 # OpenSim's X, Y up and Z in our world, and its coordinates of the moments with their signs.
 _WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-_MOMENTS = {"hip_flexion": ("hip_flexion_", 1.0), "knee_flexion": ("knee_angle_", -1.0)}
+_MOMENTS = {
+    "hip_flexion": ("hip_flexion_", 1.0),
+    "knee_flexion": ("knee_angle_", -1.0),
+    "ankle_dorsiflexion": ("ankle_angle_", 1.0),
+}
 
 
 def read_table(path: Path) -> tuple[list[str], np.ndarray]:
@@ -113,7 +121,37 @@ def measure(folder: Path, trial: Trial) -> tuple[list[str], list[list[str]]]:
 
     row = [size(error), *(size(of_feet[:, side]) for side in range(2))]
     row += [" ".join(f"{100 * value:.0f}" for value in cover[trial.rows].mean(0)), f"{found.flight_residual:.2f}"]
-    return row, [] if trial.moments is None else moments(folder / trial.moments, found, time_s, mass_kg)
+    plates_m, torque = (
+        np.stack([columns(folder / trial.plates, names[kind], time_s) for names in (trial.left, trial.right)], axis=1)
+        for kind in (1, 2)
+    )
+    loaded = truth[..., 2] > _LOADED * GRAVITY_M_S2
+    plates = replace(
+        found.feet,
+        stands=loaded,
+        force=truth * loaded[..., None],
+        pressure_m=np.where(loaded[..., None], plates_m, np.nan),
+        free_moment=np.where(loaded, torque[..., 2] / mass_kg, 0.0),
+    )
+    subject = Subject(sex="male", mass_kg=mass_kg)
+    body = body_in_motion(motion, track, take.joints, subject, found.flies)
+    assert body is not None
+    of_moments = beside(found.joints, joint_moments(body, plates, take.joints), trial.rows)
+    if trial.moments is not None:
+        of_moments += moments(folder / trial.moments, found, time_s, mass_kg)
+    return row, of_moments
+
+
+def beside(own: JointMoments, plates: JointMoments, rows: slice) -> list[list[str]]:
+    """Largest and smallest moments beside the same body's with the plates, and RMS of the differences."""
+    lines = []
+    for name in ("hip_flexion", "knee_flexion", "ankle_dorsiflexion"):
+        for side in SIDES:
+            column = MOMENT_NAMES.index(f"{side}_{name}")
+            ours, theirs = own.moment[rows, column], plates.moment[rows, column]
+            ends = [f"{ours.max():.2f} ({theirs.max():.2f})", f"{ours.min():.2f} ({theirs.min():.2f})"]
+            lines.append([f"{side} {name}, plates", *ends, f"{np.sqrt(((ours - theirs) ** 2).mean()):.2f}"])
+    return lines
 
 
 def moments(path: Path, own: PersonForces, time_s: np.ndarray, mass_kg: float) -> list[list[str]]:
@@ -140,4 +178,4 @@ def forces(folder: Annotated[Path, typer.Argument(help="Folder with the files of
             found.append([name, *row])
             tables += of_moments
     print_table(("trial", "body x y z", "left", "right", "within 2 sd, %", "flight"), found)
-    print_table(("moment", "largest (OpenSim)", "smallest", "RMS"), tables)
+    print_table(("moment", "largest (plates or OpenSim)", "smallest", "RMS"), tables)

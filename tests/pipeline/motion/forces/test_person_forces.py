@@ -94,6 +94,16 @@ def test_centre_of_pressure_is_below_standing_feet() -> None:
         assert np.nanmax(apart_m) < 0.16
 
 
+def test_force_stays_behind_the_ball_of_a_foot_that_leaves() -> None:
+    forces, xyz_m = estimated(WALK), truth_of(WALK).xyz_m
+    for column, side in enumerate(("left", "right")):
+        heel_m, toe_m = (xyz_m[:, WALK.joints.index(f"{side}_{mark}"), :2] for mark in ("heel", "big_toe"))
+        along_m = toe_m - heel_m
+        place = ((forces.feet.pressure_m[:, column, :2] - heel_m) * along_m).sum(1) / (along_m**2).sum(1)
+        assert 0.8 < np.nanmax(place) < 0.9
+        assert np.nanmin(place) < 0.1
+
+
 def test_flight_has_no_force_and_residual_is_stated() -> None:
     forces = estimated(JUMP)
     assert forces.flies.sum() > 60
