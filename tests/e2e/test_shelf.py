@@ -94,4 +94,4 @@ def test_all_missing_and_unreadable_files_are_reported(tmp_path: Path) -> None:
     )
     assert result.exit_code == 2
     files = {problem["file"] for problem in json.loads(result.stdout)["problems"]}
-    assert files == {"gt.npz", "other.npz", "calibration.json"}
+    assert files == {"gt.npz", "other.npz", "calibration_shelf.json"}

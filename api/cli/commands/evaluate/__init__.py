@@ -2,13 +2,14 @@
 
 import typer
 
-from api.cli.commands.evaluate import mvor, panoptic, rendered, shelf, simulated
+from api.cli.commands.evaluate import actors, mvor, panoptic, rendered, shelf, simulated
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
 
 app.command("rendered")(rendered.command)
 app.command("shelf")(shelf.command)
+app.command("campus")(actors.command)
 app.command("mvor")(mvor.command)
 app.command("panoptic")(panoptic.command)
 app.command("simulated")(simulated.command)

@@ -15,6 +15,7 @@ from api.cli.sources import SourceOptions
 if not shows_help():
     from pipeline.run.engine.local import reconstruct
     from pipeline.validation.evaluation.datasets import panoptic
+    from pipeline.validation.evaluation.datasets.footage import frame_times
 
 
 @with_choices("frame_range", "profile", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
@@ -43,7 +44,7 @@ def command(
         session = source.open(sequence.calibration)
         take = reconstruct(session, config, bars.update)
         scores = panoptic.score_panoptic(
-            take.tracks, take.joints, take.timebase, sequence, panoptic.frame_times(session, sequence)
+            take.tracks, take.joints, take.timebase, sequence, frame_times(session, sequence.first_image)
         )
     if as_json:
         emit(scores)

@@ -1,20 +1,21 @@
 """`multicap evaluate shelf`: accuracy on the Shelf benchmark."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from api.cli.commands.evaluate.actors import evaluate_actors, print_actors
 from api.cli.commands.evaluate.shared import StatureOption, identified, refined, refinement_scores
 from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
-from api.cli.options import checked, with_choices
-from pipeline.core.errors import InputError, Problem
+from api.cli.options import KeypointsOption, checked, with_choices
+from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.joints import COCO_17
 from pipeline.core.options.config import Method
-from pipeline.core.problems.finding_codes import NO_ABLATION
+from pipeline.core.problems.finding_codes import NO_ABLATION, SOURCES
 
 if not shows_help():
     from pipeline.association.clustering.cluster_people import reconstruct_by_clustering
@@ -27,14 +28,20 @@ if not shows_help():
     from pipeline.run.warm_up import warm_up
     from pipeline.validation.evaluation.baselines import live_tracks
     from pipeline.validation.evaluation.camera_errors import without_extrinsics
-    from pipeline.validation.evaluation.datasets.shelf import NUM_SCORED_ACTORS, load_shelf, score_shelf, thin
+    from pipeline.validation.evaluation.datasets.shelf import DEFAULT_DETECTIONS, load_shelf, score_shelf, thin
     from pipeline.validation.evaluation.datasets.shelf_tracking import ablate, association_accuracy, score_tracking
 
 
-@with_choices("method", "smoothing", "refine_calibration")
+@with_choices("profile", "detector", "method", "smoothing", "joint_centers", "refine_calibration")
 def command(
     *,
-    data: Annotated[Path, typer.Option(help="A folder with calibration.json, gt.npz and detections_*.npz.")],
+    data: Annotated[
+        Path,
+        typer.Option(
+            help="The published folder: actorsGT.mat, a calibration, and Camera0, Camera1, ... or detections_*.npz."
+        ),
+    ],
+    keypoints: KeypointsOption = None,
     chosen: Mapping[str, Any],
     stature_m: StatureOption = None,
     detections: Annotated[Path | None, typer.Option(help="File of other 2D keypoints of the same images.")] = None,
@@ -49,9 +56,14 @@ def command(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """The Shelf benchmark: 2D keypoints to PCP (images 300-599, mean over actors 1-3), in percent."""
+    """The Shelf benchmark: PCP of images 300-599, mean over actors 1-3, in percent."""
     with reporting(as_json):
         config = checked(chosen)
+        if keypoints or not (detections or (data / DEFAULT_DETECTIONS).exists()):
+            given = {"--detections": detections, "--every": every > 1, "--ablation": ablation, "--live": live}
+            _refuse_options([name for name, value in {**given, "--stature-m": stature_m}.items() if value])
+            evaluate_actors("shelf", data, keypoints, config, as_json)
+            return
         whole = load_shelf(data, detections)
         _refuse_ablation(config.method, ablation)
         benchmark, kept = thin(whole, every)
@@ -101,21 +113,12 @@ def command(
     if as_json:
         emit(result)
         return
-    pcp = result["pcp"]
-    parts = [*pcp["parts"].items(), ("all", pcp["actors"])]
-    columns = ["part", *(f"actor {k + 1}" for k in range(NUM_SCORED_ACTORS))]
-    print_table(columns, ([name, *(f"{value:.2f}" for value in values)] for name, values in parts))
-    rules = ", ".join(f"{rule} {value:.2f}" for rule, value in pcp["by_head_rule"].items())
-    by_actor = zip(result["mpjpe_mm"], result["pck150"], strict=True)
-    typer.echo(
-        f"Average PCP {pcp['average']:.2f} % (by head rule: {rules})\nMPJPE and PCK150 by actor: "
-        + "; ".join(f"{mpjpe_mm:.1f} mm, {pck150:.2f} %" for mpjpe_mm, pck150 in by_actor)
-    )
+    print_actors(result)
     if result["association_accuracy"] is not None:
         typer.echo(f"Association accuracy {result['association_accuracy']:.4f}")
     typer.echo(
-        f"Identity switches {result['switches']}, ghost tracks {result['ghost_tracks']}, standard deviation of bone "
-        f"lengths {result['bone_std_cm']:.2f} cm, {result['fps']:.0f} frames a second"
+        f"Ghost tracks {result['ghost_tracks']}, standard deviation of bone lengths {result['bone_std_cm']:.2f} cm, "
+        f"{result['fps']:.0f} frames a second"
     )
     print_table(
         ("camera", "MOTA", "IDF1", "false positives", "missed"),
@@ -161,3 +164,10 @@ def _refuse_ablation(method: Method, ablation: bool) -> None:
     if ablation and method != "tracking":
         problem = Problem(NO_ABLATION, f"There is no ablation of the method '{method}' here.", hint="Omit --ablation.")
         raise InputError([problem])
+
+
+def _refuse_options(names: Sequence[str]) -> None:
+    if names:
+        message = f"{listed_names(names)} need the keypoints of all images in one file, {DEFAULT_DETECTIONS}."
+        hint = "Omit them, or give such a file by --detections in place of pictures and --keypoints."
+        raise InputError([Problem(SOURCES, message, hint=hint)])

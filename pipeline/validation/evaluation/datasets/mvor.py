@@ -27,7 +27,7 @@ from pipeline.core.parsing import KEYPOINT_PX, UnreadableError, read_numbers
 from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
 from pipeline.geometry.camera import center_in_world
 from pipeline.validation.evaluation.datasets.documents import check_crowd, read_document
-from pipeline.video.images.files import ENDINGS
+from pipeline.validation.evaluation.datasets.footage import image_numbers
 
 ANNOTATIONS = "camma_mvor_2018.json"
 JOINTS = (
@@ -202,7 +202,7 @@ def load_days(folder: Path, benchmark: MvorBenchmark) -> tuple[MvorDay, ...]:
             problems.append(Problem(DATASET_INCOMPLETE, message, file=Path(missing[0]).name, hint=hint))
             continue
         folders = tuple((root / picture.file_name).parent for picture in benchmark.instants[rows[0]].pictures)
-        first = {min(_image_numbers(path)) for path in folders}
+        first = {image_numbers(path)[0] for path in folders}
         if len(first) > 1:
             message = f"The pictures of {name} begin with different numbers."
             problems.append(Problem(DATASET_INCOMPLETE, message, hint="Unpack the pictures into an empty folder."))
@@ -226,10 +226,6 @@ def at_instants(detections: Detections, joints: JointSet, day: MvorDay) -> Detec
         score=detections.score[rows][:, columns],
         box_px=detections.box_px[rows],
     )
-
-
-def _image_numbers(folder: Path) -> list[int]:
-    return [int(path.stem) for path in folder.iterdir() if path.suffix.lower() in ENDINGS and _is_number(path.stem)]
 
 
 def _is_number(stem: str) -> bool:

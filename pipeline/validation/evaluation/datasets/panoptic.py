@@ -19,7 +19,6 @@ from jaxtyping import Float, Int
 
 from pipeline.calibration.registry import read_calibration
 from pipeline.capture.pairing import MIN_CAMERAS
-from pipeline.capture.session import Session
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
 from pipeline.core.errors import InputError, Problem, listed_names
@@ -28,8 +27,8 @@ from pipeline.core.parsing import UnreadableError, read_numbers
 from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
 from pipeline.validation.evaluation.average_precision import InstantPoses, poses_at, score_poses
 from pipeline.validation.evaluation.datasets.documents import check_crowd, read_document
+from pipeline.validation.evaluation.datasets.footage import first_image, image_numbers
 from pipeline.validation.evaluation.mpjpe import accuracy, select_joints
-from pipeline.video.images.files import ENDINGS, SEQUENCE
 
 FRAME_RATE_HZ = 30000 / 1001
 """Rate of the HD cameras."""
@@ -86,25 +85,13 @@ def load_panoptic(
     problems: list[Problem] = []
     calibration = _calibration(folder, cameras, problems)
     footage = [_footage(folder, camera, problems) for camera in cameras] if has_footage else []
-    first_image = _first_image([path for path in footage if path is not None], problems)
+    first = first_image([path for path in footage if path is not None], problems)
     frames, truth_m, people = _poses(folder, every, problems)
     if problems or calibration is None:
         raise InputError(problems)
     return PanopticSequence(
-        calibration, tuple(cameras), tuple(path for path in footage if path), first_image, frames, truth_m, people
+        calibration, tuple(cameras), tuple(path for path in footage if path), first, frames, truth_m, people
     )
-
-
-def frame_times(session: Session, sequence: PanopticSequence) -> Mapping[int, float]:
-    """Time of each HD frame of a session by its number: of the first camera's footage, or of its keypoints."""
-    camera = session.cameras[0].name
-    time_s = session.times[camera].time_s
-    if not session.camera_videos:
-        rate_hz = session.timebase.frame_rate_hz
-        return {number: session.timebase.time_s(0) + number / rate_hz for number in range(session.timebase.num_frames)}
-    video = session.camera_videos[camera]
-    numbers = video.pts if video.codec == SEQUENCE else np.arange(len(time_s))
-    return dict(zip((sequence.first_image + numbers).tolist(), time_s.tolist(), strict=True))
 
 
 def score_panoptic(
@@ -188,28 +175,12 @@ def _footage(folder: Path, camera: str, problems: list[Problem]) -> Path | None:
     video, images = folder / "hdVideos" / f"hd_{camera}.mp4", folder / "hdImgs" / camera
     if video.is_file():
         return video
-    if images.is_dir() and _image_numbers(images):
+    if images.is_dir() and image_numbers(images):
         return images
     message = f"There is neither the video hdVideos/{video.name} nor a folder hdImgs/{camera} with images."
     hint = "Get it with the toolbox, choose other cameras with --cameras, or give keypoints with --keypoints."
     problems.append(Problem(DATASET_INCOMPLETE, message, file=video.name, camera=camera, hint=hint))
     return None
-
-
-def _first_image(footage: Sequence[Path], problems: list[Problem]) -> int:
-    """Number of the HD frame with which the footage begins: of all folders of images, or 0 for videos."""
-    first = {path: _image_numbers(path)[0] if path.is_dir() else 0 for path in footage}
-    if len(set(first.values())) > 1:
-        begins = ", ".join(f"{path.name} with {number}" for path, number in first.items())
-        message = f"The cameras' images begin with different frames: {begins}."
-        problems.append(Problem(DATASET_INCOMPLETE, message, hint="Extract the same frames of all cameras."))
-    return next(iter(first.values()), 0)
-
-
-def _image_numbers(folder: Path) -> list[int]:
-    """Numbers of the HD frames of a folder of images, ascending."""
-    names = (path.stem for path in folder.iterdir() if path.suffix.lower() in ENDINGS)
-    return sorted(int(digits) for name in names if (digits := name.rpartition("_")[2]).isdecimal())
 
 
 def _poses(

@@ -1,11 +1,9 @@
-"""Shelf benchmark (Belagiannis et al., CVPR 2014): reader of calibration, 2D keypoints and annotations, and scores.
+"""Shelf benchmark with 2D keypoints of all its images in one file, for the measurements of single steps.
 
-The folder of the benchmark has ``calibration.json``, ``gt.npz`` (``gt``: actors x images x 14 joints x 3 metres, NaN
-where not annotated) and ``detections_*.npz`` (``cam``, ``frame`` = image number, ``kps``: bodies x 17 or 25 joints x
-(x, y, score)).
+The folder has the calibration and the truth of ``actors``, and ``detections_*.npz`` (``cam``, ``frame`` = image number,
+``kps``: bodies x 17 or 25 joints x (x, y, score)).
 """
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,13 +19,16 @@ from pipeline.core.data.people import Track3D
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
 from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE
-from pipeline.validation.evaluation.pcp import HEAD_RULES, benchmark_joints, score_pcp
-
-FRAME_RATE_HZ = 25.0
-FIRST_IMAGE, LAST_IMAGE = 300, 599
-NUM_SCORED_ACTORS = 3
+from pipeline.core.runtime.npz import read_untrusted_arrays
+from pipeline.validation.evaluation.datasets.actors import (
+    FRAME_RATE_HZ,
+    find_calibration,
+    read_actor_truth,
+    score_actors,
+)
 
 DEFAULT_DETECTIONS = "detections_openpose_coco17.npz"
+_MAX_BYTES = 2**30
 
 # Joints of OpenPose's BODY_25 in the order of COCO-17.
 _COCO_17_IN_BODY_25 = (0, 16, 15, 18, 17, 5, 2, 6, 3, 7, 4, 12, 9, 13, 10, 14, 11)
@@ -57,35 +58,28 @@ def load_shelf(folder: Path, detections: Path | None = None) -> ShelfBenchmark:
     """
     problems: list[Problem] = []
     arrays: dict[str, np.ndarray] = {}
+    images, truth_m = read_actor_truth(folder, "shelf", problems)
     keypoints_file = detections or folder / DEFAULT_DETECTIONS
-    for path, keys in ((folder / "gt.npz", ("gt",)), (keypoints_file, ("cam", "frame", "kps"))):
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                arrays |= {key: np.array(archive[key]) for key in keys}
-        except KeyError:
-            problems.append(_unreadable(f"An array of {', '.join(keys)} is missing.", path))
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-            problems.append(_unreadable("The file is missing or no NumPy archive of plain arrays.", path))
+    try:
+        arrays = read_untrusted_arrays(keypoints_file, ("cam", "frame", "kps"), _MAX_BYTES)
+    except ValueError as error:
+        problems.append(_unreadable(f"The keypoints can't be read: {error}.", keypoints_file))
     cameras: tuple[Camera, ...] = ()
     try:
-        cameras = read_calibration(folder / "calibration.json")
+        cameras = read_calibration(find_calibration(folder, "shelf"))
     except InputError as error:
         problems.extend(error.problems)
     if "kps" in arrays and (arrays["kps"].ndim != 3 or arrays["kps"].shape[1:] not in {(17, 3), (25, 3)}):
         problems.append(_unreadable("kps must be bodies x 17 or 25 joints x 3.", keypoints_file))
-    if "gt" in arrays and (arrays["gt"].ndim != 4 or arrays["gt"].shape[2:] != (14, 3)):
-        problems.append(_unreadable("gt must be actors x images x 14 x 3.", folder / "gt.npz"))
     if problems:
         raise InputError(problems)
-
-    num_frames = LAST_IMAGE - FIRST_IMAGE + 1
-    times = FrameTimes(np.arange(num_frames) / FRAME_RATE_HZ)
+    times = FrameTimes(np.arange(len(images)) / FRAME_RATE_HZ)
     return ShelfBenchmark(
         cameras=cameras,
         times={camera.name: times for camera in cameras},
-        detections={camera.name: _of_camera(camera.name, k, arrays) for k, camera in enumerate(cameras)},
-        timebase=Timebase(0.0, FRAME_RATE_HZ, num_frames),
-        truth_m=arrays["gt"][:, FIRST_IMAGE : LAST_IMAGE + 1].astype(np.float64),
+        detections={camera.name: _of_camera(camera.name, k, arrays, images) for k, camera in enumerate(cameras)},
+        timebase=Timebase(0.0, FRAME_RATE_HZ, len(images)),
+        truth_m=truth_m,
     )
 
 
@@ -93,8 +87,8 @@ def _unreadable(message: str, path: Path) -> Problem:
     return Problem(BENCHMARK_UNREADABLE, message, file=path.name, hint="Give the folder of the Shelf benchmark.")
 
 
-def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray]) -> Detections:
-    inside = (arrays["frame"] >= FIRST_IMAGE) & (arrays["frame"] <= LAST_IMAGE)
+def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray], images: range) -> Detections:
+    inside = (arrays["frame"] >= images.start) & (arrays["frame"] < images.stop)
     rows = np.flatnonzero((arrays["cam"] == number) & inside)
     rows = rows[np.argsort(arrays["frame"][rows], kind="stable")]
     keypoints = arrays["kps"][rows].astype(np.float64)
@@ -106,7 +100,7 @@ def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray]) -> Dete
     points_px, score, rows = points_px[~empty], score[~empty], rows[~empty]
     return Detections(
         camera=name,
-        frame=arrays["frame"][rows].astype(np.int64) - FIRST_IMAGE,
+        frame=arrays["frame"][rows].astype(np.int64) - images.start,
         keypoints_px=points_px,
         score=score,
         box_px=np.concatenate([np.nanmin(points_px, axis=1), np.nanmax(points_px, axis=1)], axis=1),
@@ -142,41 +136,5 @@ def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBe
 
 
 def score_shelf(tracks: Sequence[Track3D], benchmark: ShelfBenchmark) -> dict[str, Any]:
-    """Score tracks of COCO-17 joints: PCP and PCK150 in percent, MPJPE and identity switches.
-
-    The result has:
-
-    - ``pcp``: ``average`` (mean of actors 1-3), ``actors`` and ``parts`` for the head rule ``crossview``, and the
-      average ``by_head_rule``.
-    - ``mpjpe_mm``, ``pck150``: mean joint error of each actor, and share of the joints within 150 mm.
-    - ``switches``: number of changes of an annotated actor's nearest track since the actor's previous annotation.
-    """
-    alive = [
-        [track for track in tracks if 0 <= frame - track.start_frame < track.num_frames]
-        for frame in range(benchmark.timebase.num_frames)
-    ]
-    xyz_m = [
-        np.array([track.xyz_m[frame - track.start_frame] for track in people]).reshape(-1, len(COCO_17.names), 3)
-        for frame, people in enumerate(alive)
-    ]
-    by_rule = {
-        rule: score_pcp([benchmark_joints(people_m, rule) for people_m in xyz_m], benchmark.truth_m)
-        for rule in HEAD_RULES
-    }
-    reference = by_rule["crossview"]
-    averages = {rule: float(np.mean(scores.actors[:NUM_SCORED_ACTORS])) for rule, scores in by_rule.items()}
-    histories = (
-        [alive[frame][nearest].track_id for frame, nearest in enumerate(row) if nearest >= 0]
-        for row in reference.chosen
-    )
-    return {
-        "pcp": {
-            "average": averages["crossview"],
-            "actors": reference.actors[:NUM_SCORED_ACTORS].tolist(),
-            "parts": {name: values[:NUM_SCORED_ACTORS].tolist() for name, values in reference.parts.items()},
-            "by_head_rule": averages,
-        },
-        "mpjpe_mm": reference.mpjpe_mm[:NUM_SCORED_ACTORS].tolist(),
-        "pck150": reference.pck150[:NUM_SCORED_ACTORS].tolist(),
-        "switches": sum(int(np.count_nonzero(np.diff(history))) for history in histories),
-    }
+    """Score tracks of COCO-17 joints as ``score_actors`` does."""
+    return score_actors(tracks, COCO_17, np.arange(benchmark.timebase.num_frames), benchmark.truth_m)

@@ -29,7 +29,8 @@ from pipeline.core.joints import COCO_17
 from pipeline.geometry.camera import project
 from pipeline.validation.evaluation.baselines import Triangulation, associate_pairwise, locate_incrementally
 from pipeline.validation.evaluation.datasets import shelf
-from pipeline.validation.evaluation.mpjpe import MotFrame, box_overlap, score_mot
+from pipeline.validation.evaluation.datasets.actors import FRAME_RATE_HZ, NUM_SCORED_ACTORS
+from pipeline.validation.evaluation.mpjpe import MotFrame, box_overlap, score_mot, select_joints
 from pipeline.validation.evaluation.pcp import LIMB_JOINTS, benchmark_joints
 
 _NEAR_M = 0.5
@@ -45,7 +46,8 @@ def score_tracking(tracks: Sequence[Track3D], benchmark: shelf.ShelfBenchmark) -
     Returns ``mota``, ``idf1`` (fractions of 1), ``false_positives`` and ``missed`` (numbers) by camera name, and the
     number of ``ghost_tracks``.
     """
-    predicted_m = _on_frames(tracks, benchmark)
+    frames = np.arange(benchmark.timebase.num_frames)
+    predicted_m = benchmark_joints(select_joints(tracks, COCO_17, COCO_17.names, frames))
     # Mean joint distance of each track to each actor in each frame, NaN where either is absent.
     distance_m = np.stack([_mean_distance(truth_m, predicted_m) for truth_m in benchmark.truth_m])
     by_camera = {
@@ -60,14 +62,6 @@ def score_tracking(tracks: Sequence[Track3D], benchmark: shelf.ShelfBenchmark) -
         "missed": {name: scores.missed for name, scores in by_camera.items()},
         "ghost_tracks": int(np.count_nonzero((lengths_s > _GHOST_S) & ~is_near)),
     }
-
-
-def _on_frames(tracks: Sequence[Track3D], benchmark: shelf.ShelfBenchmark) -> Float[np.ndarray, "tracks frames 14 3"]:
-    """Benchmark joints of all tracks in all frames, NaN outside of a track."""
-    taken = np.full((len(tracks), benchmark.timebase.num_frames, len(COCO_17.names), 3), np.nan)
-    for row, track in enumerate(tracks):
-        taken[row, track.start_frame : track.start_frame + track.num_frames] = track.xyz_m
-    return benchmark_joints(taken)
 
 
 def _mean_distance(
@@ -268,7 +262,7 @@ def ablate(benchmark: shelf.ShelfBenchmark) -> dict[str, Any]:
 
 
 def _association(benchmark: shelf.ShelfBenchmark) -> dict[str, dict[str, float | None]]:
-    parameters = derive_parameters(benchmark.cameras, shelf.FRAME_RATE_HZ)
+    parameters = derive_parameters(benchmark.cameras, FRAME_RATE_HZ)
     views = (benchmark.cameras, benchmark.times, benchmark.detections)
     return {
         "pairs_of_views": association_accuracy(associate_pairwise(*views, parameters), benchmark, by_frame=True),
@@ -280,7 +274,7 @@ def _weights(benchmark: shelf.ShelfBenchmark) -> list[dict[str, Any]]:
     rows = []
     for weight_2d in _WEIGHTS_2D:
         parameters = replace(
-            derive_parameters(benchmark.cameras, shelf.FRAME_RATE_HZ), weight_2d=weight_2d, weight_3d=1.0 - weight_2d
+            derive_parameters(benchmark.cameras, FRAME_RATE_HZ), weight_2d=weight_2d, weight_3d=1.0 - weight_2d
         )
         views = (benchmark.cameras, benchmark.times, benchmark.detections)
         identities = assign_detections(*views, parameters)
@@ -311,7 +305,7 @@ def _triangulations(benchmark: shelf.ShelfBenchmark) -> dict[str, dict[str, floa
 
 def _parts(scores: dict[str, Any]) -> dict[str, float]:
     parts = {
-        name: float(np.mean(scores["pcp"]["parts"][name][: shelf.NUM_SCORED_ACTORS]))
+        name: float(np.mean(scores["pcp"]["parts"][name][:NUM_SCORED_ACTORS]))
         for name in ("torso", "upper_arms", "lower_arms")
     }
     return {**parts, "average": scores["pcp"]["average"]}

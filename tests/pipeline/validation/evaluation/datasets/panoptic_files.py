@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.core.data.cameras import Camera
 from pipeline.validation.simulation.scenes import Simulation
+from tests.pipeline.validation.evaluation.datasets.openpose_files import write_keypoints
 
 # Panoptic's world: y = -z, z = y.
 FROM_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -73,15 +74,6 @@ def write_sequence(folder: Path, simulation: Simulation, names: Sequence[str]) -
             if np.isfinite(xyz_m).all()
         ]
         write_poses(folder, frame, bodies)
-    for name, camera in zip(names, simulation.cameras, strict=True):
-        detections = simulation.detections[camera.name]
-        for frame in range(simulation.timebase.num_frames):
-            rows = (detections.frame == frame).nonzero()[0]
-            found = np.nan_to_num(
-                np.concatenate([detections.keypoints_px[rows], detections.score[rows][..., None]], axis=-1)
-            )
-            people = [{"pose_keypoints_2d": body.ravel().tolist()} for body in found]
-            path = folder / "keypoints" / name / f"{name}_{frame:012}_keypoints.json"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps({"version": 1.3, "people": people}), encoding="utf-8")
+    cameras = [camera.name for camera in simulation.cameras]
+    write_keypoints(folder / "keypoints", simulation, dict(zip(cameras, names, strict=True)))
     return folder

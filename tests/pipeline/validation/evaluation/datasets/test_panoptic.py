@@ -131,6 +131,17 @@ def test_keypoints_are_reconstructed_and_scored(written: Path) -> None:
     assert scores["ap"]["150"] == 1.0
 
 
+def test_keypoints_of_later_frames_keep_their_numbers(written: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "keypoints"
+    for path in (written / "keypoints").glob("*/*_keypoints.json"):
+        if int(path.name.split("_")[-2]) >= 25:
+            (folder / path.parent.name).mkdir(parents=True, exist_ok=True)
+            (folder / path.parent.name / path.name).write_bytes(path.read_bytes())
+    code, scores = run(written, f"--keypoints={folder}", "--every=5")
+    assert (code, scores["instants"], scores["recall"]) == (0, 10, 1.0)
+    assert scores["mpjpe_mm"] < 40.0
+
+
 def test_all_that_is_missing_is_said_at_once(written: Path, tmp_path: Path) -> None:
     folder = tmp_path / "171204_pose2"
     folder.mkdir()
