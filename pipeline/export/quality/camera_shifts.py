@@ -177,15 +177,17 @@ def _views(
     used = np.zeros(shape, bool)
     px_per_m, error_m = np.ones(shape), np.full(shape[1], np.nan)
     for number, camera in enumerate(cameras):
-        projected_px, by_xyz = parameters.linearise_points(camera, xyz_m)
-        left_px = seen_px[:, number] - projected_px
-        rows = np.flatnonzero(np.isfinite(left_px).all(-1))
+        rows = np.flatnonzero(np.isfinite(seen_px[:, number]).all(-1))
+        projected_px, by_xyz = parameters.linearise_points(camera, xyz_m[rows])
+        left_px = seen_px[rows, number] - projected_px
+        is_known = np.isfinite(left_px).all(-1)
+        rows, left_px = rows[is_known], left_px[is_known]
         if not len(rows):
             continue
         used[rows, number] = True
-        residual_px[rows, number], by_point[rows, number] = left_px[rows], by_xyz[rows]
+        residual_px[rows, number], by_point[rows, number] = left_px, by_xyz[is_known]
         px_per_m[rows, number] = np.linalg.norm(by_point[rows, number], axis=(-2, -1))
-        error_m[number] = np.median(np.linalg.norm(left_px[rows], axis=-1) / px_per_m[rows, number])
+        error_m[number] = np.median(np.linalg.norm(left_px, axis=-1) / px_per_m[rows, number])
     # The errors of a detector grow with the person in the picture. A camera that has its points to itself is no better
     # than the others by much.
     least_m = max(_LEAST_ERROR * float(np.nanmedian(error_m)), 1e-9) if used.any() else 1.0
