@@ -111,9 +111,8 @@ def locate_limbs(
     weight = np.where(here, weight[:, :, limbs.exchanged], weight[:, :, limbs.both])
     direction, weight = direction.reshape(-1, *direction.shape[3:]), weight.reshape(-1, weight.shape[3])
     xyz_m, normal, right = np.zeros((len(weight), 3)), np.empty((len(weight), 3, 3)), np.empty((len(weight), 3))
-    seen = direction[:, :, None], rays.center_m, weight[..., None], 0
     for scale_m in _SCALES_M:
-        sum_normal_equations(*seen, xyz_m, scale_m, normal, right)
+        sum_normal_equations(direction, rays.center_m, weight, xyz_m, scale_m, normal, right)
         normal += _INERTIA * np.eye(3)
         xyz_m[:] = np.linalg.solve(normal, right[..., None])[..., 0]
     from_center_m = xyz_m[:, None] - rays.center_m

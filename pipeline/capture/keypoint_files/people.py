@@ -126,7 +126,8 @@ def number_in_name(name: Any) -> int | None:
 
 def is_detected(people: Float[np.ndarray, "*joints 3"]) -> Bool[np.ndarray, "*joints"]:
     """Return which joints were detected: all numbers are finite, and the score is above 0."""
-    return np.isfinite(people).all(-1) & (people[..., 2] >= _MIN_SCORE)
+    x, y, score = np.moveaxis(np.isfinite(people), -1, 0)
+    return x & y & score & (people[..., 2] >= _MIN_SCORE)
 
 
 def check_number(listed: Sequence[Any]) -> None:

@@ -158,11 +158,11 @@ def _linearise(
         essential = essentials[first.camera, second.camera]
         line_in_right = left @ essential[:, :2].T + essential[:, 2]
         line_in_left = right @ essential[:2] + essential[2]
-        norm = np.sqrt((line_in_right[..., :2] ** 2).sum(-1) + (line_in_left[..., :2] ** 2).sum(-1))
+        across_right, across_left = line_in_right[..., :2], line_in_left[..., :2]
+        norm = np.sqrt(np.vecdot(across_right, across_right) + np.vecdot(across_left, across_left))
         norm *= np.sqrt((first.tolerance**2 + second.tolerance**2) / 2)
-        residual = ((right * line_in_right[..., :2]).sum(-1) + line_in_right[..., 2]) / norm
-        by_first = (line_in_left[..., :2] * left_speed).sum(-1) / norm
-        by_second = (line_in_right[..., :2] * right_speed).sum(-1) / norm
+        residual = (np.vecdot(right, across_right) + line_in_right[..., 2]) / norm
+        by_first, by_second = np.vecdot(across_left, left_speed) / norm, np.vecdot(across_right, right_speed) / norm
         rows, joints = np.nonzero(np.isfinite(residual))
         parts.append(
             (

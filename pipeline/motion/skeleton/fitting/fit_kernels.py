@@ -257,7 +257,7 @@ def squared_distances(ray, center_m, xyz_m, off_m2):
 
 @kernel
 @no_type_check
-def sum_normal_equations(rays, center_m, weights, joint, xyz_m, scale_m, normal, right):
+def sum_normal_equations(rays, center_m, weights, xyz_m, scale_m, normal, right):
     """Add up the normal equations of a joint over its rays; ``normal`` and ``right`` are outputs.
 
     A ray with unit vector r from c contributes its weight times ``I - r r^T`` and ``(I - r r^T) c``. ``weights`` are
@@ -267,14 +267,14 @@ def sum_normal_equations(rays, center_m, weights, joint, xyz_m, scale_m, normal,
     right[:] = 0.0
     for frame in range(len(rays)):
         for camera in range(len(center_m)):
-            if weights[frame, camera, joint] == 0.0:
+            if weights[frame, camera] == 0.0:
                 continue
-            ray, center = rays[frame, camera, joint], center_m[camera]
+            ray, center = rays[frame, camera], center_m[camera]
             x, y, z = xyz_m[frame, 0] - center[0], xyz_m[frame, 1] - center[1], xyz_m[frame, 2] - center[2]
             ahead_m = ray[0] * x + ray[1] * y + ray[2] * z
             off_m2 = (x - ahead_m * ray[0]) ** 2 + (y - ahead_m * ray[1]) ** 2 + (z - ahead_m * ray[2]) ** 2
             share = scale_m * scale_m / (off_m2 + scale_m * scale_m)
-            weight = weights[frame, camera, joint] * share * share
+            weight = weights[frame, camera] * share * share
             along = ray[0] * center[0] + ray[1] * center[1] + ray[2] * center[2]
             for row in range(3):
                 turned = weight * ray[row]

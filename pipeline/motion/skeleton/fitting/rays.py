@@ -45,6 +45,8 @@ class Rays:
         rays = np.stack(
             [rays_in_world(camera, undistort_px(camera, points_px[:, k])) for k, camera in enumerate(cameras)], axis=1
         )
+        # By joints first: a joint is located from all frames and views at once.
+        rays, score = (np.ascontiguousarray(np.moveaxis(values, 2, 0)) for values in (rays, score))
         is_seen = (score > _MIN_SCORE) & np.isfinite(rays).all(-1)
         self._rays = np.where(is_seen[..., None], rays, 0.0)
         self._centers_m = np.array([center_in_world(camera) for camera in cameras])
@@ -60,7 +62,7 @@ class Rays:
         """
         normal, right = np.empty((len(xyz_m), 3, 3)), np.empty((len(xyz_m), 3))
         sum_normal_equations(
-            self._rays, self._centers_m, self._weight, joint, as_compiled(xyz_m), scale_m, normal, right
+            self._rays[joint], self._centers_m, self._weight[joint], as_compiled(xyz_m), scale_m, normal, right
         )
         return normal, right
 
@@ -72,7 +74,7 @@ class Rays:
         The noise of the detector follows from the joint's own residuals in frames that two views see, in relation to
         what the scores promise. For joints with few observations, it is closer to the promise.
         """
-        weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)
+        weight, off_m2 = self._weight[joint], self._off_m2(joint, xyz_m)
         robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
         is_seen = weight > 0
         counted = is_seen & (is_seen.sum(1, keepdims=True) > 1)
@@ -85,7 +87,7 @@ class Rays:
         self, joint: int, xyz_m: Float[np.ndarray, "frames 3"], scale_m: float
     ) -> Float[np.ndarray, " frames"]:
         """Share of a joint's views, by their weights, that its position does not explain: the mean of GM(d; c)."""
-        weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)
+        weight, off_m2 = self._weight[joint], self._off_m2(joint, xyz_m)
         return np.asarray((weight * off_m2 / (off_m2 + scale_m**2)).sum(1) / np.maximum(weight.sum(1), 1e-9))
 
     def residuals(
@@ -95,7 +97,7 @@ class Rays:
 
         A distance as large as the scores promise has the expectation 2, one for each coordinate of the view.
         """
-        weight, off_m2 = self._weight[:, :, joint], self._off_m2(joint, xyz_m)
+        weight, off_m2 = self._weight[joint], self._off_m2(joint, xyz_m)
         robust = weight * (scale_m**2 / (off_m2 + scale_m**2)) ** 2
         return (robust * off_m2).sum(1), (weight > 0).sum(1)
 
@@ -105,7 +107,7 @@ class Rays:
         @cache
         def lost(joint: int, ray: int) -> Float[np.ndarray, "frames cameras"]:
             off_m2 = self._off_m2(ray, xyz_m[:, joint])
-            return np.nan_to_num(self._weight[:, :, ray] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m**2))
+            return np.nan_to_num(self._weight[ray] * _SIGMA_M**2 * off_m2 / (off_m2 + scale_m**2))
 
         for left, right in self._pairs:
             both, other_way = [*left, *right], [*right, *left]
@@ -117,14 +119,13 @@ class Rays:
             if not exchanged.any():
                 continue
             lost.cache_clear()
-            for seen in (self._rays, self._weight):
-                here = exchanged.reshape(*exchanged.shape, *(1,) * (seen.ndim - 2))
-                seen[:, :, both] = np.where(here, seen[:, :, other_way], seen[:, :, both])
+            self._rays[both] = np.where(exchanged[..., None], self._rays[other_way], self._rays[both])
+            self._weight[both] = np.where(exchanged, self._weight[other_way], self._weight[both])
 
     def _off_m2(self, joint: int, xyz_m: Float[np.ndarray, "frames 3"]) -> Float[np.ndarray, "frames cameras"]:
         """Squared distances of positions to the rays of a joint."""
-        off_m2 = np.empty(self._weight.shape[:2])
-        squared_distances(self._rays[:, :, joint], self._centers_m, as_compiled(xyz_m), off_m2)
+        off_m2 = np.empty(self._weight.shape[1:])
+        squared_distances(self._rays[joint], self._centers_m, as_compiled(xyz_m), off_m2)
         return off_m2
 
 
