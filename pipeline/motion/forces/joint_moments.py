@@ -37,8 +37,8 @@ POWER_NAMES: tuple[str, ...] = tuple(
 )
 """Joints that have a power, in the order of columns."""
 # Usual error of a joint's centre (Della Croce et al., "Human movement analysis using stereophotogrammetry, part 4",
-# Gait & Posture 21, 2005).
-_CENTRE_M = 0.01
+# Gait & Posture 21, 2005), and of the body's centre, by public plates (docs/lab/forces-notes.md).
+_CENTRE_M, _BODY_M = 0.01, 0.025
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +54,9 @@ def joint_moments(body: BodyInMotion, feet: FootForces, joints: JointSet) -> Joi
     """Compute the moments of the joints of legs and arms."""
     moments, sigmas, powers = [], [], []
     up = np.array([0.0, 0.0, 1.0])
+    arms_m = np.nan_to_num(feet.pressure_m - body.body_m[:, None])
+    # Moment that the force at places within the soles leaves: one of both is wrong.
+    rest = np.linalg.norm((body.moment(body.body_m) - np.cross(arms_m, feet.force).sum(1))[:, :2], axis=1)
     for joint in MOMENT_JOINTS:
         place, beyond = _PLACES[joint.proximal, joint.distal]
         for column, side in enumerate(SIDES):
@@ -69,10 +72,14 @@ def joint_moments(body: BodyInMotion, feet: FootForces, joints: JointSet) -> Joi
                 # moves is the body above the joint.
                 above_m = body.body_m - centre_m
                 of_force = np.linalg.norm(above_m, axis=1) * np.linalg.norm(feet.sigma[:, column], axis=1) / np.sqrt(3)
-                both = feet.stands.all(1)
-                of_place = np.nan_to_num(feet.pressure_sigma_m[:, column]) * np.linalg.norm(ground, axis=1) * both
-                of_centre = _CENTRE_M * np.linalg.norm(ground, axis=1)
-                sigma = sigma + of_force**2 + of_place**2 + of_centre**2
+                both, load = feet.stands.all(1), np.linalg.norm(ground, axis=1)
+                of_place = np.nan_to_num(feet.pressure_sigma_m[:, column]) * load * both
+                of_body = np.where(
+                    feet.measured[:, column],
+                    0.0,
+                    np.hypot(_BODY_M * load, rest * feet.stands[:, column] * ~feet.seated),
+                )
+                sigma = sigma + of_force**2 + of_place**2 + (_CENTRE_M * load) ** 2 + of_body**2
             proximal = body.turns.get(joint.proximal)
             outer = body.turns[f"{side}_{joint.proximal}"] if proximal is None else proximal
             inner = body.turns[f"{side}_{joint.distal}"]

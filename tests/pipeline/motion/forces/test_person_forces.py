@@ -14,8 +14,9 @@ from pipeline.motion.balance.compute import GRAVITY_M_S2
 from pipeline.motion.forces import feet
 from pipeline.motion.forces.body_mass import body_mass, mass_by_stature_kg, stature_m
 from pipeline.motion.forces.feet import find_stances
-from pipeline.motion.forces.joint_moments import MOMENT_NAMES
+from pipeline.motion.forces.joint_moments import MOMENT_NAMES, joint_moments
 from pipeline.motion.forces.person_forces import PersonForces, forces_document, forces_of, touching
+from pipeline.motion.forces.whole_body import body_in_motion
 from pipeline.motion.gait.events import FootEvent, Swing
 from pipeline.validation.simulation.motion.script import Gesture
 from tests.pipeline.motion.forces.physical_people import estimated, solved, truth_of
@@ -213,6 +214,22 @@ def test_moment_of_standing_knee_is_force_times_lever() -> None:
     # The shank and foot weigh 6 % of the body, within 0.25 m of the knee's vertical.
     assert abs(np.linalg.norm(moment) - abs(forces.joints.moment[row, column])) < 0.25
     assert forces.joints.moment[row, column] < -0.2  # muscles stretch the bent knee
+
+
+def test_places_that_contradict_the_motion_widen_moments() -> None:
+    forces, animation = estimated(SQUAT), solved(SQUAT)
+    body = body_in_motion(animation.motions[0], animation.tracks[0], SQUAT.joints, Subject(), forces.flies)
+    assert body is not None
+    knee = MOMENT_NAMES.index("left_knee_flexion")
+    moved = replace(forces.feet, pressure_m=forces.feet.pressure_m + np.array([0.05, 0.0, 0.0]))
+    own, wider, plates = (
+        np.median(joint_moments(body, of, SQUAT.joints).sigma[:, knee])
+        for of in (forces.feet, moved, replace(moved, measured=np.ones_like(moved.measured)))
+    )
+    of_foot = np.median(forces.feet.force[:, 0, 2])
+    assert 0.025 * of_foot < own < 0.08 * of_foot
+    assert np.sqrt(wider**2 - own**2) == pytest.approx(0.05 * GRAVITY_M_S2, rel=0.2)
+    assert plates < own
 
 
 def test_swinging_leg_has_moments_of_its_own_weight_alone() -> None:
