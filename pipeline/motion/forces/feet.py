@@ -50,7 +50,7 @@ _LEVEL = 0.5
 _BALL = 0.85
 # Standard deviations, in simulation and by public plates (docs/lab/forces-notes.md): of a foot's share in the middle of
 # a double support, of its place as a share of the foot's length, and of the centre of mass by tables.
-_SPLIT, _PATH, _CENTRE_M = 0.05, 0.1, 0.015
+_SPLIT, _PATH, BODY_M = 0.05, 0.1, 0.025
 # Deviation of a place anywhere on a foot, as a share of its length.
 _ANYWHERE = 0.3
 
@@ -190,7 +190,7 @@ def split(
     sigma = np.hypot(share[..., None] * body.sigma[:, None], loose[..., None] * np.abs(force[:, None]))
     lever = height_m / np.maximum(force[:, 2], 0.1 * GRAVITY_M_S2)
     length_m = np.linalg.norm((toes_m - heels_m)[..., :2], axis=-1)
-    of_body_m = np.hypot(np.linalg.norm(body.sigma[:, :2], axis=1) / np.sqrt(2.0) * lever, _CENTRE_M)
+    of_body_m = np.hypot(np.linalg.norm(body.sigma[:, :2], axis=1) / np.sqrt(2.0) * lever, BODY_M)
     path = np.where(seated, _ANYWHERE, _PATH * both)
     pressure_sigma_m = np.hypot(of_body_m[:, None], path[:, None] * length_m)
     of_seat = share * np.where(seated, of_body_m / apart_m, 0.0)[:, None]

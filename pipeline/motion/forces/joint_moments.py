@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from pipeline.core.joints import SIDES, JointSet
 from pipeline.motion.body_segments import JOINTS, AngleJoint, angle_name
-from pipeline.motion.forces.feet import FootForces
+from pipeline.motion.forces.feet import BODY_M, FootForces
 from pipeline.motion.forces.whole_body import BodyInMotion
 
 # Joint of the track between two segments, and the segments beyond it.
@@ -37,8 +37,8 @@ POWER_NAMES: tuple[str, ...] = tuple(
 )
 """Joints that have a power, in the order of columns."""
 # Usual error of a joint's centre (Della Croce et al., "Human movement analysis using stereophotogrammetry, part 4",
-# Gait & Posture 21, 2005), and of the body's centre, by public plates (docs/lab/forces-notes.md).
-_CENTRE_M, _BODY_M = 0.01, 0.025
+# Gait & Posture 21, 2005).
+_CENTRE_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ def joint_moments(body: BodyInMotion, feet: FootForces, joints: JointSet) -> Joi
                 of_body = np.where(
                     feet.measured[:, column],
                     0.0,
-                    np.hypot(_BODY_M * load, rest * feet.stands[:, column] * ~feet.seated),
+                    np.hypot(BODY_M * ~both * load, rest * feet.stands[:, column] * ~feet.seated),
                 )
                 sigma = sigma + of_force**2 + of_place**2 + (_CENTRE_M * load) ** 2 + of_body**2
             proximal = body.turns.get(joint.proximal)
