@@ -1,6 +1,7 @@
 """Benchmark `forces`: estimated forces beside force plates of public trials of OpenSim, and OpenSim's inverse dynamics.
 
-The folder has files of github.com/opensim-org/opensim-models (docs/lab/forces-notes.md has their places and digests).
+The folder has files of github.com/opensim-org/opensim-models and, in folders of their names, OpenCap's people of
+github.com/keenon/nimblephysics (docs/lab/forces-notes.md has their places and digests).
 Forces are in % of body weight, moments in N m for each kilogram of the body.
 """
 
@@ -74,6 +75,10 @@ TRIALS = {
         65.9,
     ),
 }
+# People of OpenCap's data, whose trials are in a folder of their name: mass by the plates in kg.
+OPENCAP = {"Subject4": 60.05, "OpenCapUnfiltered": 95.0}
+# Frames around the double supports of a walk in which all standing feet are on plates.
+_AROUND = 20
 # Least share of body weight of a loaded plate.
 _LOADED = 0.05
 # OpenSim's X, Y up and Z in our world, and its coordinates of the moments with their signs.
@@ -142,6 +147,45 @@ def measure(folder: Path, trial: Trial) -> tuple[list[str], list[list[str]]]:
     return row, of_moments
 
 
+def opencap(folder: Path, mass_kg: float) -> list[list[str]]:
+    """Rows of one person's trials: force on the body, or of the feet on a seat, beside the sum of the plates."""
+    static, lines = folder / "static1.trc", []
+    for plates in sorted(folder.glob("*_grf.mot")):
+        markers = folder / f"{plates.stem.removesuffix('_grf')}.trc"
+        if markers == static:
+            continue
+        take = reconstruct(open_points([markers], static=static if static.is_file() else None))
+        track = take.tracks[0]
+        time_s = take.timebase.start_time_s + np.array(track.frames) / take.timebase.frame_rate_hz
+        prefixes = [name[:-1] for name in read_table(plates)[0] if name.endswith("_vx")]
+        truth = np.stack([columns(plates, prefix, time_s) for prefix in prefixes], axis=1) / mass_kg
+        loaded = truth[..., 2] > _LOADED * GRAVITY_M_S2
+        rows = np.zeros(len(truth), bool)
+        if markers.stem.startswith("walk"):
+            both = np.flatnonzero(loaded.sum(1) > 1)
+            rows[max(both[0] - _AROUND, 0) : both[-1] + _AROUND] = True
+        else:
+            # A box under the feet before a drop jump has no plate.
+            rows[loaded.any(1).argmax() :] = True
+        found = forces_of(
+            take.motions[0], track, take.joints, Subject("de-leva", "male", mass_kg), take.animation.floor
+        )
+        assert found is not None
+        feet = found.feet
+        force, sigma = found.total, found.total_sigma
+        if feet.seated.any():
+            force, sigma = feet.force.sum(1), np.sqrt((feet.sigma**2).sum(1))
+        error, percent = force - truth.sum(1), 100.0 / GRAVITY_M_S2
+        rows &= np.isfinite(error).all(1)
+        if not rows.any():
+            continue
+        sizes = " ".join(f"{value:.1f}" for value in percent * np.sqrt((error[rows] ** 2).mean(0)))
+        cover = " ".join(f"{value:.0f}" for value in 100 * (np.abs(error) < 1.96 * sigma)[rows].mean(0))
+        flags = f"{feet.seated.sum()} {feet.undetermined.sum()}"
+        lines.append([f"{folder.name} {markers.stem}", f"{rows.sum()}", sizes, cover, flags])
+    return lines
+
+
 def beside(own: JointMoments, plates: JointMoments, rows: slice) -> list[list[str]]:
     """Largest and smallest moments beside the same body's with the plates, and RMS of the differences."""
     lines = []
@@ -171,11 +215,14 @@ def moments(path: Path, own: PersonForces, time_s: np.ndarray, mass_kg: float) -
 
 def forces(folder: Annotated[Path, typer.Argument(help="Folder with the files of the trials.")]) -> None:
     """Print the errors of all trials whose files are there."""
-    found, tables = [], []
+    found, tables, of_people = [], [], []
     for name, trial in TRIALS.items():
         if (folder / trial.markers).is_file():
             row, of_moments = measure(folder, trial)
             found.append([name, *row])
             tables += of_moments
+    for name, mass_kg in OPENCAP.items():
+        of_people += opencap(folder / name, mass_kg)
     print_table(("trial", "body x y z", "left", "right", "within 2 sd, %", "flight"), found)
     print_table(("moment", "largest (plates or OpenSim)", "smallest", "RMS"), tables)
+    print_table(("trial of OpenCap", "frames", "x y z", "within 2 sd, %", "seated, undetermined"), of_people)
