@@ -36,10 +36,10 @@ class BodyDetector(Protocol):
         """Detect the bodies in an image, in pixels of the image."""
 
 
-def boxes_around(keypoints_px: Float[np.ndarray, "n joints 2"]) -> Float[np.ndarray, "n 4"]:
+def boxes_around(keypoints_px: Float[np.ndarray, "*batch joints 2"]) -> Float[np.ndarray, "*batch 4"]:
     """x0, y0, x1, y1 around the joints of each body that are not NaN, of which there is at least one."""
     seen = np.isfinite(keypoints_px)
-    low, high = np.where(seen, keypoints_px, np.inf).min(1), np.where(seen, keypoints_px, -np.inf).max(1)
+    low, high = np.where(seen, keypoints_px, np.inf).min(-2), np.where(seen, keypoints_px, -np.inf).max(-2)
     return np.concatenate([low, high], axis=-1)
 
 

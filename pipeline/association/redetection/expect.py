@@ -5,10 +5,9 @@ in a fifth (docs/lab/detection.md). A body leans if its trunk is far from uprigh
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from pipeline.association.identity.limbs import steady_places
 from pipeline.core.data.cameras import Camera, FrameTimes, Timebase
@@ -84,7 +83,7 @@ def expect_leaning(
             for place, camera in enumerate(cameras)
         ]
     joined = concatenate(found, [camera.name for camera in cameras], len(COCO_17.names))
-    ordered = (selected(bodies, np.argsort(bodies.frame, kind="stable")) for bodies in joined.values())
+    ordered = (bodies.select(np.argsort(bodies.frame, kind="stable")) for bodies in joined.values())
     return tuple(map(enough, ordered))
 
 
@@ -145,14 +144,3 @@ def _agrees(seen_px: Float[np.ndarray, "n 17 2"], expected_px: Float[np.ndarray,
 def enough(bodies: Detections) -> Detections:
     """Expected bodies of a camera; none if they are too few for its pictures to be decoded again."""
     return bodies if len(np.unique(bodies.frame)) >= _LEAST_PICTURES else bodies.within(range(0))
-
-
-def selected(bodies: Detections, rows: Int[np.ndarray, " rows"]) -> Detections:
-    """Expected bodies in the order of their rows."""
-    return replace(
-        bodies,
-        frame=bodies.frame[rows],
-        keypoints_px=bodies.keypoints_px[rows],
-        score=bodies.score[rows],
-        box_px=bodies.box_px[rows],
-    )

@@ -5,10 +5,10 @@ frames have less noise than one. So a kernel smooths all cameras alike before an
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from pipeline.calibration.people.following import JOINTS, MAX_GAP_S, Followed, follow_bodies
 from pipeline.capture.synchronization.motion_kernels import fit_local_lines
@@ -113,17 +113,6 @@ def excerpt(times: Mapping[str, FrameTimes], detections: Mapping[str, Detections
     num_blocks = int(_LONGEST_S / _BLOCK_S)
     period_s = (end_s - begin_s) / num_blocks
     return {
-        name: _rows(bodies, (times[name].time_s[bodies.frame] - begin_s) % period_s < _BLOCK_S)
+        name: bodies.select((times[name].time_s[bodies.frame] - begin_s) % period_s < _BLOCK_S)
         for name, bodies in detections.items()
     }
-
-
-def _rows(detections: Detections, kept: Bool[np.ndarray, " n"]) -> Detections:
-    return replace(
-        detections,
-        frame=detections.frame[kept],
-        keypoints_px=detections.keypoints_px[kept],
-        score=detections.score[kept],
-        box_px=detections.box_px[kept],
-        colour=detections.colour[kept] if len(detections.colour) else detections.colour,
-    )

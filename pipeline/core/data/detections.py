@@ -1,10 +1,10 @@
 """Detections in the pictures of one camera: bodies, or peaks and fields, heads, and damage of its frames."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from pipeline.core.data.arrays import no_changes, no_colours, no_frames, no_samples, short_text
 from pipeline.core.data.turns import turned_axes
@@ -65,18 +65,23 @@ class Detections:
 
     __repr__ = short_text
 
-    def within(self, frames: range) -> "Detections":
-        """Select the bodies in a range of the camera's frame numbers, without the changes of the pictures."""
-        rows = slice(*np.searchsorted(self.frame, [frames.start, frames.stop]))
-        return Detections(
-            camera=self.camera,
+    def select(self, rows: Int[np.ndarray, " rows"] | Bool[np.ndarray, " n"] | slice) -> "Detections":
+        """Select bodies by their rows; damaged pictures and changes stay."""
+        return replace(
+            self,
             frame=self.frame[rows],
             keypoints_px=self.keypoints_px[rows],
             score=self.score[rows],
             box_px=self.box_px[rows],
-            colour=self.colour[rows],
-            damaged=self.damaged[slice(*np.searchsorted(self.damaged, [frames.start, frames.stop]))],
+            colour=self.colour[rows] if len(self.colour) else self.colour,
         )
+
+    def within(self, frames: range) -> "Detections":
+        """Select the bodies in a range of the camera's frame numbers, without the changes of the pictures."""
+        ends = [frames.start, frames.stop]
+        damaged = self.damaged[slice(*np.searchsorted(self.damaged, ends))]
+        bodies = self.select(slice(*np.searchsorted(self.frame, ends)))
+        return replace(bodies, damaged=damaged, changes=PictureChanges())
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 import typer
 
-from api.cli.commands.evaluate import actors, mvor, panoptic, rendered, shelf, simulated
+from api.cli.commands.evaluate import actors, human36m, mvor, panoptic, rendered, shelf, simulated
 
 app = typer.Typer(help="Accuracy against a known truth.", no_args_is_help=True)
 
@@ -12,4 +12,5 @@ app.command("shelf")(shelf.command)
 app.command("campus")(actors.command)
 app.command("mvor")(mvor.command)
 app.command("panoptic")(panoptic.command)
+app.command("human36m")(human36m.command)
 app.command("simulated")(simulated.command)

@@ -1,6 +1,6 @@
 """`multicap evaluate campus`, and Shelf from pictures or keypoints: scores of the actors of a published folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -36,17 +36,13 @@ def command(
 
 
 def evaluate_actors(
-    dataset: str, data: Path, keypoints: Sequence[Path] | None, config: ReconstructionConfig, as_json: bool
+    dataset: str, data: Path, keypoints: list[Path] | None, config: ReconstructionConfig, as_json: bool
 ) -> None:
     """Reconstruct the tested images of a published folder; print the scores of its actors."""
     with StageBars(visible=not as_json) as bars:
         sequence = actors.load_actors(data, dataset, has_footage=keypoints is None)
-        source = SourceOptions(
-            None if keypoints else list(sequence.footage),
-            keypoints=None if keypoints is None else list(keypoints),
-            frame_rate=actors.FRAME_RATE_HZ,
-            pair_by_order=True,
-        )
+        footage, rate_hz = list(sequence.footage), actors.FRAME_RATE_HZ
+        source = SourceOptions(footage, keypoints=keypoints, frame_rate=rate_hz, pair_by_order=True)
         session = source.open(sequence.calibration)
         frames = actors.tested_frames(session, sequence)
         take = reconstruct(session, replace(config, force=True, frame_range=frames), bars.update)

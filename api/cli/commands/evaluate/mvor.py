@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.evaluate.shared import shown
+from api.cli.commands.evaluate.shared import print_scores, shown
 from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
 from api.cli.options import checked, with_choices
 from pipeline.core.joints import COCO_17
@@ -78,11 +78,7 @@ def _from_pictures(
 
 
 def _print(scores: Mapping[str, Any]) -> None:
-    tables = {name: scores[name] for name in ("mpjpe_by_joint_mm", "ap", "pck_2d")}
-    rows = [(name, shown(value)) for name, value in scores.items() if not isinstance(value, dict)]
-    for name, values in tables.items():
-        rows += [(f"{name.removesuffix('_by_joint_mm')} {key}", shown(value)) for key, value in values.items()]
-    print_table(("measure", "value"), rows)
+    print_scores({name: value for name, value in scores.items() if name != "by_cameras"}, as_json=False)
     print_table(
         ("cameras", "people", "recall", *(f"{kind}, mm" for kind in scores["mpjpe_by_joint_mm"])),
         (

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.evaluate.shared import shown
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
+from api.cli.commands.evaluate.shared import print_scores
+from api.cli.console import JsonOption, StageBars, reporting, shows_help
 from api.cli.options import KeypointsOption, checked, with_choices
 from api.cli.sources import SourceOptions
 
@@ -39,16 +39,12 @@ def command(
         config = replace(checked(chosen), force=True)
         names = panoptic.CAMERAS if cameras is None else tuple(filter(None, map(str.strip, cameras.split(","))))
         sequence = panoptic.load_panoptic(data, names, every or panoptic.EVERY, has_footage=keypoints is None)
-        rate_hz = panoptic.FRAME_RATE_HZ if keypoints or sequence.has_images else None
+        has_videos = bool(sequence.footage) and not any(path.is_dir() for path in sequence.footage)
+        rate_hz = None if has_videos else panoptic.FRAME_RATE_HZ  # a folder of images states none
         source = SourceOptions(list(sequence.footage), keypoints=keypoints, frame_rate=rate_hz)
         session = source.open(sequence.calibration)
         take = reconstruct(session, config, bars.update)
         scores = panoptic.score_panoptic(
             take.tracks, take.joints, take.timebase, sequence, frame_times(session, sequence.first_image)
         )
-    if as_json:
-        emit(scores)
-        return
-    rows = [(name, shown(value)) for name, value in scores.items() if name != "ap"]
-    rows += [(f"ap {threshold} mm", shown(value)) for threshold, value in scores["ap"].items()]
-    print_table(("measure", "value"), rows)
+    print_scores(scores, as_json)

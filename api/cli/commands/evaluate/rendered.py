@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.commands.evaluate.shared import StatureOption, refinement_scores, shown
-from api.cli.console import JsonOption, StageBars, emit, print_table, reporting, shows_help
+from api.cli.commands.evaluate.shared import StatureOption, print_scores, refinement_scores
+from api.cli.console import JsonOption, StageBars, reporting, shows_help
 from api.cli.options import checked, with_choices
 
 if not shows_help():
@@ -47,7 +47,4 @@ def command(
             scores |= score_foot_directions(motions, timebase, truth.time_s, truth.feet_m)
         scores |= score_covered_heads(reconstruction, session.times, truth)
         scores |= refinement_scores(reconstruction.refinement) | errors
-    if as_json:
-        emit(scores)
-        return
-    print_table(("measure", "value"), ((name, shown(value)) for name, value in scores.items()))
+    print_scores(scores, as_json)

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from api.cli.console import shows_help
+from api.cli.console import emit, print_table, shows_help
 from pipeline.core.joints import JointSet, without_hands
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.job_choices import MAX_STATURE_M, MIN_STATURE_M
@@ -67,6 +67,16 @@ def identified(
     """People after the global pass, with one person and one side for each limb, like the stage ``identify``."""
     association = Association(cameras, times, timebase, joints, config)
     return association.assign_limbs(association.assign_identities(people))
+
+
+def print_scores(scores: Mapping[str, Any], as_json: bool) -> None:
+    """Print scores as JSON, or as a table with a row for each figure of a mapping."""
+    if as_json:
+        emit(scores)
+        return
+    parts = {name: value if isinstance(value, Mapping) else {"": value} for name, value in scores.items()}
+    rows = ((f"{name} {key}".strip(), shown(part)) for name, of in parts.items() for key, part in of.items())
+    print_table(("measure", "value"), rows)
 
 
 def shown(value: float | None) -> str:

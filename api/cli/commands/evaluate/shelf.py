@@ -1,7 +1,7 @@
 """`multicap evaluate shelf`: accuracy on the Shelf benchmark."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +14,6 @@ from api.cli.console import JsonOption, emit, print_table, reporting, shows_help
 from api.cli.options import KeypointsOption, checked, with_choices
 from pipeline.core.errors import InputError, Problem, listed_names
 from pipeline.core.joints import COCO_17
-from pipeline.core.options.config import Method
 from pipeline.core.problems.finding_codes import NO_ABLATION, SOURCES
 
 if not shows_help():
@@ -61,11 +60,14 @@ def command(
         config = checked(chosen)
         if keypoints or not (detections or (data / DEFAULT_DETECTIONS).exists()):
             given = {"--detections": detections, "--every": every > 1, "--ablation": ablation, "--live": live}
-            _refuse_options([name for name, value in {**given, "--stature-m": stature_m}.items() if value])
+            if names := [name for name, value in {**given, "--stature-m": stature_m}.items() if value]:
+                message = f"{listed_names(names)} need the keypoints of all images in one file, {DEFAULT_DETECTIONS}."
+                raise InputError([Problem(SOURCES, message, hint="Omit them, or give such a file by --detections.")])
             evaluate_actors("shelf", data, keypoints, config, as_json)
             return
         whole = load_shelf(data, detections)
-        _refuse_ablation(config.method, ablation)
+        if ablation and config.method != "tracking":
+            raise InputError([Problem(NO_ABLATION, f"'{config.method}' has no ablation.", hint="Omit --ablation.")])
         benchmark, kept = thin(whole, every)
         warm_up()
         started_s = time.perf_counter()
@@ -113,6 +115,10 @@ def command(
     if as_json:
         emit(result)
         return
+    _print(result)
+
+
+def _print(result: Mapping[str, Any]) -> None:
     print_actors(result)
     if result["association_accuracy"] is not None:
         typer.echo(f"Association accuracy {result['association_accuracy']:.4f}")
@@ -132,16 +138,12 @@ def command(
         ),
     )
     typer.echo("Actors are annotated in some images only: unmatched tracks count as false near an annotated actor.")
-    if live:
-        _print_live(result["live"])
-    if ablation:
-        _print_ablation(result["ablation"])
-
-
-def _print_live(found: dict[str, Any]) -> None:
-    actors = ", ".join(f"{value:.2f}" for value in found["pcp"]["actors"])
-    people = f"{found['people']} people, identity switches {found['switches']}"
-    typer.echo(f"Live: average PCP {found['pcp']['average']:.2f} % ({actors}), {people}")
+    if found := result.get("live"):
+        actors = ", ".join(f"{value:.2f}" for value in found["pcp"]["actors"])
+        people = f"{found['people']} people, identity switches {found['switches']}"
+        typer.echo(f"Live: average PCP {found['pcp']['average']:.2f} % ({actors}), {people}")
+    if ablation := result.get("ablation"):
+        _print_ablation(ablation)
 
 
 def _print_ablation(ablation: dict[str, Any]) -> None:
@@ -158,16 +160,3 @@ def _print_ablation(ablation: dict[str, Any]) -> None:
         ("PCP, every n-th image", ablation["every"]),
     ):
         print_table(list(rows[0]), ([f"{value:.4g}" for value in row.values()] for row in rows), title)
-
-
-def _refuse_ablation(method: Method, ablation: bool) -> None:
-    if ablation and method != "tracking":
-        problem = Problem(NO_ABLATION, f"There is no ablation of the method '{method}' here.", hint="Omit --ablation.")
-        raise InputError([problem])
-
-
-def _refuse_options(names: Sequence[str]) -> None:
-    if names:
-        message = f"{listed_names(names)} need the keypoints of all images in one file, {DEFAULT_DETECTIONS}."
-        hint = "Omit them, or give such a file by --detections in place of pictures and --keypoints."
-        raise InputError([Problem(SOURCES, message, hint=hint)])

@@ -88,11 +88,14 @@ def read_actor_truth(
     images = range(tested[0].start, tested[-1].stop)
     path = folder / (_CONVERTED if (folder / _CONVERTED).exists() else _TRUTH)
     try:
-        everything_m = _read_converted(path) if path.name == _CONVERTED else read_truth(path, "actors")
-        num_actors, num_images = everything_m.shape[:2]
-        if num_actors < NUM_SCORED_ACTORS or num_images < images.stop:
-            raise UnreadableError(f"{num_actors} actors in {num_images} images")
-        is_tested = np.isin(np.arange(num_images), np.concatenate(tested))[:, None, None]
+        if path.name == _CONVERTED:
+            everything_m = read_untrusted_arrays(path, ("gt",), _MAX_BYTES)["gt"].astype(np.float64)
+        else:
+            everything_m = read_truth(path, "actors")
+        shape = everything_m.shape
+        if shape[2:] != (14, 3) or shape[0] < NUM_SCORED_ACTORS or shape[1] < images.stop:
+            raise UnreadableError(f"the shape is {shape}, not actors x images x 14 x 3")
+        is_tested = np.isin(np.arange(shape[1]), np.concatenate(tested))[:, None, None]
         truth_m = np.where(is_tested, everything_m, np.nan)[:, images.start : images.stop]
         is_annotated = np.isfinite(truth_m[:NUM_SCORED_ACTORS]).all((-2, -1))
         if not np.all(np.any(is_annotated, axis=1)):
@@ -102,13 +105,6 @@ def read_actor_truth(
         problems.append(Problem(BENCHMARK_UNREADABLE, f"The truth can't be read: {error}.", file=path.name, hint=hint))
         truth_m = np.empty((0, len(images), 14, 3))
     return images, truth_m
-
-
-def _read_converted(path: Path) -> Float[np.ndarray, "actors images 14 3"]:
-    truth_m = np.asarray(read_untrusted_arrays(path, ("gt",), _MAX_BYTES)["gt"], np.float64)
-    if truth_m.ndim != 4 or truth_m.shape[2:] != (14, 3):
-        raise UnreadableError("gt must be actors x images x 14 x 3")
-    return truth_m
 
 
 def tested_frames(session: Session, sequence: ActorSequence) -> tuple[int, int]:

@@ -7,6 +7,7 @@ files such as ``day1/cam1/color/000000.png``, mostly 75 s apart: each instant st
 pictures are a list of COCO's results, such as the data set has in ``detections_results``.
 """
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,9 +26,10 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17, JointSet
 from pipeline.core.parsing import KEYPOINT_PX, UnreadableError, read_numbers
 from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE, DATASET_INCOMPLETE
+from pipeline.detection.bodies import boxes_around
 from pipeline.geometry.camera import center_in_world
 from pipeline.validation.evaluation.datasets.documents import check_crowd, read_document
-from pipeline.validation.evaluation.datasets.footage import image_numbers
+from pipeline.validation.evaluation.datasets.footage import first_image
 
 ANNOTATIONS = "camma_mvor_2018.json"
 JOINTS = (
@@ -53,8 +55,8 @@ _MAX_INSTANTS = 10_000
 _MAX_PROBLEMS = 10
 _MILLIMETRE_M = 1e-3
 _MAX_METRES = 1e3
-# Digits of the number of a picture, which is the number of its frame.
-_MAX_DIGITS = 9
+# Name of a picture: the number of its frame.
+_NUMBER = re.compile(r"\d{1,9}")
 _HINT = "Get the file again from the data set's repository, CAMMA-public/MVOR."
 _Entry = TypeVar("_Entry")
 
@@ -202,11 +204,8 @@ def load_days(folder: Path, benchmark: MvorBenchmark) -> tuple[MvorDay, ...]:
             problems.append(Problem(DATASET_INCOMPLETE, message, file=Path(missing[0]).name, hint=hint))
             continue
         folders = tuple((root / picture.file_name).parent for picture in benchmark.instants[rows[0]].pictures)
-        first = {image_numbers(path)[0] for path in folders}
-        if len(first) > 1:
-            message = f"The pictures of {name} begin with different numbers."
-            problems.append(Problem(DATASET_INCOMPLETE, message, hint="Unpack the pictures into an empty folder."))
-        frames = np.array([_number(benchmark.instants[row].pictures[0]) for row in rows]) - min(first)
+        first = first_image(folders, problems)
+        frames = np.array([_number(benchmark.instants[row].pictures[0]) for row in rows]) - first
         days.append(MvorDay(folders, np.array(rows), frames))
     if problems:
         raise InputError(problems)
@@ -217,19 +216,15 @@ def at_instants(detections: Detections, joints: JointSet, day: MvorDay) -> Detec
     """Detections in the pictures of a day, with COCO's joints and the numbers of the instants as frames."""
     place = dict(zip(day.frames.tolist(), day.instants.tolist(), strict=True))
     instants = np.array([place.get(frame, -1) for frame in detections.frame.tolist()], int)
-    rows = np.flatnonzero(instants >= 0)
+    inside = detections.select(instants >= 0)
     columns = joints.indices(COCO_17.names)
     return Detections(
         camera=detections.camera,
-        frame=instants[rows],
-        keypoints_px=detections.keypoints_px[rows][:, columns],
-        score=detections.score[rows][:, columns],
-        box_px=detections.box_px[rows],
+        frame=instants[instants >= 0],
+        keypoints_px=inside.keypoints_px[:, columns],
+        score=inside.score[:, columns],
+        box_px=inside.box_px,
     )
-
-
-def _is_number(stem: str) -> bool:
-    return stem.isdecimal() and len(stem) <= _MAX_DIGITS
 
 
 def _day(picture: MvorPicture) -> str:
@@ -350,7 +345,7 @@ def _instants(
 
     def parse_picture(image: Any) -> MvorPicture:
         image_id, name = _image_id(image["id"]), Path(str(image["file_name"]))
-        if name.is_absolute() or ".." in name.parts or len(name.parts) < 2 or not _is_number(name.stem):
+        if name.is_absolute() or ".." in name.parts or len(name.parts) < 2 or not _NUMBER.fullmatch(name.stem):
             raise UnreadableError(f"{str(name)!r} is not the path of a picture")
         return MvorPicture(
             image_id,
@@ -396,15 +391,10 @@ def _in_room(xyz_m: Float[np.ndarray, "joints 3"], cameras: Sequence[Camera]) ->
 
 def _detections(camera: str, frames: np.ndarray, points: np.ndarray, is_seen: np.ndarray) -> Detections:
     points_px = np.where(is_seen[..., None], points[..., :2], np.nan)
-    empty = np.empty((0, 2))
-    low, high = (
-        np.array([bound(body, axis=0) for body in points_px]) if len(points_px) else empty
-        for bound in (np.nanmin, np.nanmax)
-    )
     return Detections(
         camera=camera,
         frame=frames,
         keypoints_px=points_px,
         score=np.where(is_seen, np.clip(points[..., 2], 0.0, 1.0), 0.0),
-        box_px=np.concatenate([low, high], axis=1),
+        box_px=boxes_around(points_px),
     )

@@ -67,11 +67,6 @@ class PanopticSequence:
     truth_m: tuple[Float[np.ndarray, "people 15 3"], ...]
     people: tuple[tuple[int, ...], ...]
 
-    @property
-    def has_images(self) -> bool:
-        """True if any footage is a folder of images, which states no frame rate."""
-        return any(path.is_dir() for path in self.footage)
-
 
 def load_panoptic(
     folder: Path, cameras: Sequence[str] = CAMERAS, every: int = EVERY, has_footage: bool = True

@@ -20,6 +20,7 @@ from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
 from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE
 from pipeline.core.runtime.npz import read_untrusted_arrays
+from pipeline.detection.bodies import boxes_around
 from pipeline.validation.evaluation.datasets.actors import (
     FRAME_RATE_HZ,
     find_calibration,
@@ -103,7 +104,7 @@ def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray], images:
         frame=arrays["frame"][rows].astype(np.int64) - images.start,
         keypoints_px=points_px,
         score=score,
-        box_px=np.concatenate([np.nanmin(points_px, axis=1), np.nanmax(points_px, axis=1)], axis=1),
+        box_px=boxes_around(points_px),
     )
 
 
@@ -119,14 +120,7 @@ def thin(benchmark: ShelfBenchmark, every: int) -> tuple[ShelfBenchmark, ShelfBe
         phase = number * every // len(benchmark.cameras)
         times[camera.name] = FrameTimes(benchmark.times[camera.name].time_s[phase::every])
         every_image = benchmark.detections[camera.name]
-        rows = np.flatnonzero(every_image.frame % every == phase)
-        kept[camera.name] = Detections(
-            camera=camera.name,
-            frame=every_image.frame[rows],
-            keypoints_px=every_image.keypoints_px[rows],
-            score=every_image.score[rows],
-            box_px=every_image.box_px[rows],
-        )
+        kept[camera.name] = every_image.select(every_image.frame % every == phase)
         thinned[camera.name] = replace(kept[camera.name], frame=kept[camera.name].frame // every)
     timebase = Timebase(0.0, FRAME_RATE_HZ / every, -(-num_frames // every))
     return (

@@ -26,6 +26,7 @@ from pipeline.association.tracking.tracking_parameters import derive_parameters
 from pipeline.core.data.cameras import Camera
 from pipeline.core.data.people import Track3D
 from pipeline.core.joints import COCO_17
+from pipeline.detection.bodies import boxes_around
 from pipeline.geometry.camera import project
 from pipeline.validation.evaluation.baselines import Triangulation, associate_pairwise, locate_incrementally
 from pipeline.validation.evaluation.datasets import shelf
@@ -75,10 +76,7 @@ def _mean_distance(
 
 def _boxes(camera: Camera, points_m: Float[np.ndarray, "*batch 14 3"]) -> Float[np.ndarray, "*batch 4"]:
     """Boxes around projected joints, NaN without joints."""
-    points_px = project(camera, points_m)
-    known = np.isfinite(points_px)
-    low, high = np.where(known, points_px, np.inf).min(-2), np.where(known, points_px, -np.inf).max(-2)
-    boxes = np.concatenate([low, high], axis=-1)
+    boxes = boxes_around(project(camera, points_m))
     return np.where(np.isfinite(boxes), boxes, np.nan)
 
 
@@ -168,7 +166,7 @@ def score_single_view(benchmark: shelf.ShelfBenchmark) -> dict[str, dict[str, An
         limbs_px = detections.keypoints_px[:, COCO_17.indices(LIMB_JOINTS)]
         known = np.isfinite(limbs_px).any((1, 2))
         box_px = np.full((len(limbs_px), 4), np.nan)
-        box_px[known] = np.concatenate([np.nanmin(limbs_px[known], axis=1), np.nanmax(limbs_px[known], axis=1)], axis=1)
+        box_px[known] = boxes_around(limbs_px[known])
         identity = track_boxes(detections.frame, np.nan_to_num(box_px))
         near = _actors(camera, detections.frame, detections.keypoints_px, benchmark) >= 0
         truth_px, seen = _boxes(camera, truth), _is_seen(camera, truth)

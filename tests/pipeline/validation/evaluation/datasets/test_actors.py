@@ -206,7 +206,7 @@ def nested(depth: int) -> bytes:
 DAMAGED: list[tuple[str, Callable[[list[list[Any]]], Any], str]] = [
     ("text", lambda _: b"no file of MATLAB", "damaged, or in another format"),
     ("empty", lambda _: b"", "damaged, or in another format"),
-    ("other variable", lambda _: mat(cell(0, b"", b"other")), "no variable actor3D"),
+    ("other variable", lambda _: mat(cell(0, b"", b"other")), "damaged, or in another format"),
     ("no cells", lambda _: mat(cell(0, b"", b"actor3D")), "actor3D has no poses"),
     ("huge", lambda _: mat(cell(2**31 - 1, b"", b"actor3D")), "damaged"),
     ("deep", lambda _: mat(nested(200_000)), "damaged"),
@@ -216,8 +216,8 @@ DAMAGED: list[tuple[str, Callable[[list[list[Any]]], Any], str]] = [
         "actor 1 in image 0 is not a matrix of 14",
     ),
     ("far", lambda cells: [[np.full((14, 3), 2e3), *actor] for actor in cells], "a position is kilometres away"),
-    ("few actors", lambda cells: cells[:2], "2 actors in 70 images"),
-    ("short", lambda cells: [actor[:50] for actor in cells], "actors in 50 images"),
+    ("few actors", lambda cells: cells[:2], "the shape is (2, 70, 14, 3)"),
+    ("short", lambda cells: [actor[:50] for actor in cells], "the shape is (3, 50, 14, 3)"),
     ("unannotated", lambda cells: [*cells[:2], [0.0] * 70], "an actor is not annotated in any tested image"),
 ]
 

@@ -207,7 +207,7 @@ def test_keypoints_are_reconstructed_and_scored(
     assert scores["pck_2d"]["mean"] > 0.8
     table = CliRunner().invoke(app, command)
     assert table.exit_code == 0, table.exception
-    assert "mpjpe shoulder" in table.output
+    assert "mpjpe_by_joint_mm shoulder" in table.output
     assert "number of cameras" in table.output
 
 

@@ -173,7 +173,7 @@ def test_images_begin_with_one_frame(written: Path, tmp_path: Path) -> None:
         path.parent.mkdir(parents=True)
         path.touch()
     sequence = load_panoptic(folder, CHOSEN)
-    assert (sequence.first_image, sequence.has_images) == (12, True)
+    assert (sequence.first_image, [path.name for path in sequence.footage]) == (12, list(CHOSEN))
     path.rename(path.with_name("00_13_00000013.jpg"))
     (problem,) = problems_of(folder)
     assert "00_12 with 12, 00_13 with 13" in problem["message"]
