@@ -17,7 +17,7 @@ from jaxtyping import Float
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
-from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.errors import printable
 from pipeline.core.joints import JointSet
 from pipeline.core.options.file_formats import file_ending
@@ -193,9 +193,8 @@ def write_opensim_files(
         people, split(on_share, [track.num_frames for track, _ in people]), strict=True
     ):
         with tempfile.TemporaryDirectory(prefix=".opensim-", dir=folder) as scratch:
-            work = _Work(
-                Path(scratch), f"person-{track.track_id}", track, motion, shown.joints, shown.timebase, origin_m
-            )
+            of_take = shown.joints, shown.timebase, origin_m, shown.subject_of(track.track_id)
+            work = _Work(Path(scratch), f"person-{track.track_id}", track, motion, *of_take)
             yield work.write(folder, model, licence, on_person)
     on_share(1.0)
 
@@ -212,14 +211,15 @@ class _Work:
         joints: JointSet,
         timebase: Timebase,
         origin_m: Float[np.ndarray, " 3"],
+        subject: Subject,
     ) -> None:
         self.scratch, self.name, self.timebase, self.motion, self.joints = scratch, name, timebase, motion, joints
-        self.track, self.origin_m = without_resting_fingers(track, joints), origin_m
+        self.track, self.origin_m, self.subject = without_resting_fingers(track, joints), origin_m, subject
 
     def write(self, folder: Path, model: bytes, licence: bytes, on_share: OnShare) -> WrittenPerson:
         """Write a person's archive."""
         number = self.track.track_id
-        size = setup.model_size(self.motion, self.track, self.joints)
+        size = setup.model_size(self.motion, self.track, self.joints, self.subject)
         paths = setup.marker_paths(self.motion, self.track, self.joints, size, self.origin_m)
         if len(paths.frames) < _MIN_FRAMES:
             problem = "Hips and shoulders are known together in fewer than two frames: OpenSim's model has no place."

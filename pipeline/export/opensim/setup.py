@@ -10,13 +10,14 @@ from jaxtyping import Float, Int
 from pipeline.core.data.animation import SkeletonMotion
 from pipeline.core.data.cameras import Timebase
 from pipeline.core.data.people import Track3D
+from pipeline.core.data.reconstruction import Subject
 from pipeline.core.joints import SIDES, JointSet
 from pipeline.export.opensim import anatomy
 from pipeline.export.presets import Y_UP_FROM_WORLD
 from pipeline.export.timelines import fixed, frame_blocks
 from pipeline.export.writers.trc import head
 from pipeline.motion.angles.compute import observed, segments_from
-from pipeline.motion.forces.body_mass import mass_by_stature_kg, stature_m
+from pipeline.motion.forces.body_mass import body_mass, stature_m
 from pipeline.motion.skeleton.model import INDEX, TRUNK, forward_kinematics
 
 SMALLEST, LARGEST = 0.25, 3.0
@@ -30,7 +31,7 @@ class ModelSize:
     """Size of a person's model."""
 
     stature_m: float  # Stature by the lengths of legs and trunk
-    mass_kg: float  # Mass by the stature
+    mass_kg: float  # Mass, stated or by the stature
     factors: Mapping[str, anatomy.Place]  # Factors of each body along its axes X, Y and Z
     places_m: Mapping[str, anatomy.Place]  # Place of each marker in the body of the generic model, before it is scaled
 
@@ -44,16 +45,16 @@ class ModelSize:
         )
 
 
-def model_size(motion: SkeletonMotion, track: Track3D, joints: JointSet) -> ModelSize:
+def model_size(motion: SkeletonMotion, track: Track3D, joints: JointSet, subject: Subject) -> ModelSize:
     """Size of a person's model.
 
     Limbs have the lengths of the skeleton's bones. The pelvis is as wide as the hips, and the width and
     depth of the torso follow the shoulders. Markers of feet and head stand where the person has them: at their median
-    place beside the bone. Masses are by stature, shared among bodies as in the generic model.
+    place beside the bone. The mass is stated or by stature, and is shared among bodies as in the generic model.
     """
     height_m = stature_m(motion)
     factors = _factors(motion, track, joints, height_m)
-    return ModelSize(height_m, mass_by_stature_kg(height_m), factors, _places_m(motion, track, joints, factors))
+    return ModelSize(height_m, body_mass(subject, motion).kg, factors, _places_m(motion, track, joints, factors))
 
 
 def _length_m(motion: SkeletonMotion, *names: str) -> float:

@@ -10,7 +10,7 @@ from pipeline.run.engine.stage import OPENSIM, TAKE, Context, Output, ResultFile
     cut="people",
     frames_a_part=1,  # OpenSim takes much longer than a task without a person
     follows=TAKE,
-    choices=("exports", "output_rate_hz", "names"),
+    choices=("exports", "output_rate_hz", "mass_kg", "names"),
     is_planned=lambda facts, config: config.making is None and "osim" in config.exports,
     is_reusable=False,
     makes_files=True,

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.core.data.reconstruction import Reconstruction
+from pipeline.core.data.reconstruction import Reconstruction, Subject
 from pipeline.core.data.rigid import Rigid3
 from pipeline.core.runtime.child_processes import python_command
+from pipeline.export.opensim import setup
 from pipeline.export.opensim.anatomy import MARKERS
 from pipeline.export.opensim.model_files import OpenSimPerson, write_opensim_files
 from pipeline.export.opensim.setup import read_columns
@@ -92,6 +93,8 @@ print([lengths[0], lengths[1], lengths[3], float(model.getTotalMass(state))])
     np.testing.assert_allclose([thigh_m, shank_m, upper_arm_m], expected_m, rtol=0.01)
     assert person.mass_kg == pytest.approx(mass_kg, abs=0.01)
     assert 55.0 < mass_kg < 80.0
+    stated = setup.model_size(motion, walk.tracks[0], walk.joints, Subject(mass_kg=91.5))
+    assert b"<mass>91.500</mass>" in setup.encode_scale_setup("heavy", stated)
 
 
 def test_opensim_reads_files_and_runs_setups_by_hand(walk_archive: tuple[OpenSimPerson, Path], tmp_path: Path) -> None:
