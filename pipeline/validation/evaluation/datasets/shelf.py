@@ -18,6 +18,7 @@ from pipeline.core.data.detections import Detections
 from pipeline.core.data.people import Track3D
 from pipeline.core.errors import InputError, Problem
 from pipeline.core.joints import COCO_17
+from pipeline.core.parsing import UnreadableError
 from pipeline.core.problems.finding_codes import BENCHMARK_UNREADABLE
 from pipeline.core.runtime.npz import read_untrusted_arrays
 from pipeline.detection.bodies import boxes_around
@@ -58,20 +59,21 @@ def load_shelf(folder: Path, detections: Path | None = None) -> ShelfBenchmark:
     missing or have wrong contents.
     """
     problems: list[Problem] = []
-    arrays: dict[str, np.ndarray] = {}
     images, truth_m = read_actor_truth(folder, "shelf", problems)
     keypoints_file = detections or folder / DEFAULT_DETECTIONS
     try:
         arrays = read_untrusted_arrays(keypoints_file, ("cam", "frame", "kps"), _MAX_BYTES)
+        if arrays["kps"].ndim != 3 or arrays["kps"].shape[1:] not in {(17, 3), (25, 3)}:
+            raise UnreadableError("kps must be bodies x 17 or 25 joints x 3")
     except ValueError as error:
-        problems.append(_unreadable(f"The keypoints can't be read: {error}.", keypoints_file))
+        message = f"The keypoints can't be read: {error}."
+        hint = "Give the folder of the Shelf benchmark."
+        problems.append(Problem(BENCHMARK_UNREADABLE, message, file=keypoints_file.name, hint=hint))
     cameras: tuple[Camera, ...] = ()
     try:
         cameras = read_calibration(find_calibration(folder, "shelf"))
     except InputError as error:
         problems.extend(error.problems)
-    if "kps" in arrays and (arrays["kps"].ndim != 3 or arrays["kps"].shape[1:] not in {(17, 3), (25, 3)}):
-        problems.append(_unreadable("kps must be bodies x 17 or 25 joints x 3.", keypoints_file))
     if problems:
         raise InputError(problems)
     times = FrameTimes(np.arange(len(images)) / FRAME_RATE_HZ)
@@ -82,10 +84,6 @@ def load_shelf(folder: Path, detections: Path | None = None) -> ShelfBenchmark:
         timebase=Timebase(0.0, FRAME_RATE_HZ, len(images)),
         truth_m=truth_m,
     )
-
-
-def _unreadable(message: str, path: Path) -> Problem:
-    return Problem(BENCHMARK_UNREADABLE, message, file=path.name, hint="Give the folder of the Shelf benchmark.")
 
 
 def _of_camera(name: str, number: int, arrays: Mapping[str, np.ndarray], images: range) -> Detections:
