@@ -187,7 +187,7 @@ $(SPEED)/.installed: tests/pipeline/speed/peers/speed.lock
 		--only-binary :all: -r $<
 	touch $@
 
-verify-speed: setup $(SPEED)/.installed  ## Compare speed and error with MediaPipe and Pose2Sim (installs 700 MB); DATA=FOLDER of rendered people
+verify-speed: setup $(SPEED)/.installed $(PEERS)/.installed  ## Compare speed and error with aniposelib, Pose2Sim and MediaPipe by turns (installs 2.1 GB); DATA=FOLDER of rendered people
 	MULTICAP_RENDERED=$(abspath $(DATA)) $(BIN)/python -P -m pytest -s tests/pipeline/speed
 
 verify-containers:  ## Bring both compose files up by podman, with kills, an upgrade and a restore (as root, on Debian; 10 GB)
