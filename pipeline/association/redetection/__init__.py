@@ -1,1 +1,1 @@
-"""Second detection of leaning bodies, at the places where their tracks expect them (docs/lab/detection.md)."""
+"""Second detection of leaning and close bodies, where their tracks expect them (docs/lab/detection.md)."""

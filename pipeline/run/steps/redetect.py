@@ -1,7 +1,7 @@
-"""Detect leaning bodies again where detectors miss them or call left right: expect them, then read them in crops.
+"""Detect leaning and close bodies again, which detectors miss or mix: expect them, then read them in crops.
 
-The output of *Checking unusual poses* is a ``Detections`` a camera, and the output of *Detecting unusual poses again* a
-``Detections`` for a range of a camera's frames.
+The output of *Checking difficult poses* is an ``ExpectedBodies`` a camera, and the output of *Detecting difficult poses
+again* a ``Detections`` for a range of a camera's frames.
 """
 
 from functools import partial
@@ -11,21 +11,21 @@ from pipeline.run.engine import stage
 
 
 def redetects_bodies(facts: stage.SessionFacts, config: ReconstructionConfig) -> bool:
-    """Return whether leaning bodies are detected again: with the networks of the profiles, which mark joints alike."""
+    """Return whether difficult bodies are detected again: by networks of the profiles, which mark joints alike."""
     return facts.has_videos and config.is_of_people and config.networks.again is not None
 
 
 @stage.declared(
     stage.EXPECT,
-    "Checking unusual poses",
+    "Checking difficult poses",
     cut="whole",
     follows=(stage.LOOK, stage.SYNCHRONIZE, stage.REFINE, stage.ASSOCIATE),
     choices=("people",),
     is_planned=redetects_bodies,
 )
 def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
-    """Find the frames of each camera in which people are expected who lean, and their places there."""
-    from pipeline.association.redetection.expect import expect_leaning
+    """Find the frames of each camera in which people are expected who lean or are close, and their places there."""
+    from pipeline.association.redetection.expect import expect_bodies as expected_bodies
     from pipeline.core.runtime.record_archive import encode
     from pipeline.run.engine.detection_source import detection_source
     from pipeline.run.engine.methods import association_in
@@ -37,8 +37,8 @@ def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
     people = association.assign_identities(found_people(context, stage.ASSOCIATE).people)
     return stage.Output(
         encode(
-            expect_leaning(
-                zip(people.tracks, people.observations, strict=True),
+            expected_bodies(
+                list(zip(people.tracks, people.observations, strict=True)),
                 association.cameras,
                 association.times,
                 association.timebase,
@@ -51,7 +51,7 @@ def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
 
 @stage.declared(
     stage.REDETECT,
-    "Detecting unusual poses again",
+    "Detecting difficult poses again",
     cut="camera ranges",
     follows=(stage.LOOK, stage.SYNCHRONIZE, stage.EXPECT),
     choices=("profile", "joints", "detector", "output"),
@@ -63,7 +63,7 @@ def expect_bodies(task: stage.Task, context: stage.Context) -> stage.Output:
 def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
     """Read the joints of expected bodies in crops; nothing is loaded or decoded where no person is expected."""
     from pipeline.association.redetection.crops import detect_expected
-    from pipeline.core.data.detections import Detections
+    from pipeline.association.redetection.expect import ExpectedBodies
     from pipeline.core.joints import without_hands
     from pipeline.core.runtime.record_archive import decode, encode
     from pipeline.detection.profiles.profile_detector import load_landmarks
@@ -78,7 +78,7 @@ def redetect(task: stage.Task, context: stage.Context) -> stage.Output:
     (expected,) = context.outputs(stage.EXPECT)
     number = list(context.facts.camera_rates_hz).index(camera)
     span = span_s(session.timebase, task.frames.start, task.frames.stop)
-    bodies = decode(tuple[Detections, ...], expected)[number].within(frames_in(session.times[camera], *span))
+    bodies = decode(tuple[ExpectedBodies, ...], expected)[number].within(frames_in(session.times[camera], *span))
     on_share = context.on_share(task)
     with context.video(camera):
         found = detect_expected(

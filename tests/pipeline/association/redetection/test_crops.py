@@ -1,5 +1,6 @@
 """Detection of expected bodies in the frames of a video."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import NoReturn
@@ -8,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.association.redetection.crops import detect_expected
+from pipeline.association.redetection.expect import ExpectedBodies
 from pipeline.calibration.write import encode
 from pipeline.capture.session import CaptureSession, open_session
-from pipeline.core.data.detections import Detections
 from pipeline.core.joints import BODY_FEET, COCO_17
 from pipeline.detection.topdown.blazepose import body_region
 from tests.pipeline.conftest import ring_camera
@@ -45,10 +46,10 @@ class CropReader:
         return pose_of(landmarks_px(), region) | {"presence": np.full((1, 1), self.presence, np.float32)}
 
 
-def expected(frames: list[int], scale: float = 1.0) -> Detections:
+def expected(frames: list[int], scale: float = 1.0) -> ExpectedBodies:
     num = len(frames)
     bodies_px = np.tile(standing_px() * scale, (num, 1, 1))
-    return Detections("left", np.array(frames, np.int64), bodies_px, np.ones((num, 17)), np.full((num, 4), np.nan))
+    return ExpectedBodies("left", np.array(frames, np.int64), bodies_px, np.full(num, 200.0), np.ones(num, bool))
 
 
 def test_bodies_are_read_where_they_are_expected(session: CaptureSession) -> None:
@@ -61,7 +62,34 @@ def test_bodies_are_read_where_they_are_expected(session: CaptureSession) -> Non
     np.testing.assert_allclose(
         found.keypoints_px[0, knees], standing_px()[COCO_17.indices(("left_knee", "right_knee"))], atol=2.0
     )
-    assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])
+    assert shares == pytest.approx([1 / 3, 1.0])
+
+
+def test_others_are_painted_out_where_body_is_not(session: CaptureSession) -> None:
+    """A second person stands a shoulder's width to the right, a third one beside the picture: one is wanted."""
+    crops: list[np.ndarray] = []
+
+    def reader(crop: np.ndarray) -> dict[str, np.ndarray]:
+        crops.append(crop.copy())
+        return CropReader()(crop)
+
+    alone = expected([4])
+    detect_expected(session, alone, lambda: reader, COCO_17, True)
+    shift_px = np.array([np.zeros(2), [90.0, 0.0], [900.0, 0.0]])[:, None]
+    together = replace(expected([4, 4, 4]), keypoints_px=alone.keypoints_px + shift_px)
+    found = detect_expected(session, replace(together, is_wanted=np.arange(3) == 0), lambda: reader, COCO_17, True)
+    assert found.frame.tolist() == [4]
+    before, painted = crops
+    grey = (painted == np.float32(0.43)).all((0, 1))
+    np.testing.assert_array_equal(painted[:, :, ~grey], before[:, :, ~grey])
+    region = body_region(alone.keypoints_px[0], np.ones(17))
+    assert region is not None
+    own, other = (
+        np.rint(region.crop_from_image(bodies_px[5:], 256)).astype(int).clip(0, 255)
+        for bodies_px in together.keypoints_px[:2]
+    )
+    assert not grey[own[:, 1], own[:, 0]].any()
+    assert grey[other[:, 1], other[:, 0]].mean() > 0.5
 
 
 def test_crop_without_body_gives_none(session: CaptureSession) -> None:
