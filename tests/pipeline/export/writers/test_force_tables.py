@@ -1,7 +1,9 @@
 """Files of forces: CSV, and external loads that OpenSim applies to feet."""
 
 import csv
+import io
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,12 +12,15 @@ import numpy as np
 import pytest
 
 from pipeline.capture.points import SessionMaker
+from pipeline.core.data.cameras import Timebase
 from pipeline.core.options.config import ReconstructionConfig
 from pipeline.core.options.file_formats import Export
 from pipeline.export.timelines import read_rows
+from pipeline.export.writers.estimated_plates import estimated_plates
+from pipeline.export.writers.force_tables import external_loads
 from pipeline.run.engine.local import reconstruct_to_files
 from pipeline.validation.simulation.motion.script import Gesture
-from tests.pipeline.motion.forces.physical_people import truth_of
+from tests.pipeline.motion.forces.physical_people import estimated, truth_of
 from tests.pipeline.motion.gait.walks import exercise, gait_of, walk
 
 ACT = exercise(Gesture.SQUAT)
@@ -80,6 +85,23 @@ def test_external_loads_are_forces_on_axes_of_opensim(folder: Path) -> None:
         place = [values[75, names.index(f"{side}_ground_force_p{axis}")] for axis in "xyz"]
         x, y, z = (float(rows[75][f"{side}_pressure_{axis}_m"]) for axis in "xyz")
         assert place == pytest.approx([x, z, -y], abs=1e-4)
+
+
+def test_undetermined_forces_are_zeros_in_loads_and_plates() -> None:
+    forces, gap = estimated(ACT), slice(40, 60)
+    values = {name: np.array(getattr(forces.feet, name)) for name in ("force", "pressure_m", "free_moment", "sigma")}
+    for of_feet in values.values():
+        of_feet[gap] = np.nan
+    forces = replace(forces, feet=replace(forces.feet, **values))
+    timebase = Timebase(0.0, ACT.rate_hz, len(forces.total))
+    text = b"".join(external_loads(forces, timebase, forces.frames, "person-1.forces.mot")).decode()
+    loads = np.loadtxt(io.StringIO(text), skiprows=7)[:, 1:]
+    plates = estimated_plates(forces, timebase, forces.frames)
+    assert plates is not None
+    for samples in (loads, plates.samples):
+        assert np.isfinite(samples).all()
+        assert (samples[gap] == 0.0).all()
+        assert (samples[39] != 0.0).any()
 
 
 def test_setup_applies_each_force_to_its_foot(folder: Path) -> None:

@@ -281,7 +281,10 @@ def test_gap_of_all_joints_is_unknown() -> None:
     assert forces is not None
     assert np.isnan(forces.total[100:105]).all()
     assert np.isfinite(np.delete(forces.total, np.s_[100:105], axis=0)).all()
-    assert not forces.feet.stands[100:105].any()
+    on_feet = forces.feet
+    for values in (on_feet.force, on_feet.pressure_m, on_feet.pressure_sigma_m, on_feet.free_moment):
+        assert np.isnan(values[100:105]).all()
+    assert not on_feet.stands[100:105].any()
 
 
 def test_people_who_are_near_may_touch() -> None:
