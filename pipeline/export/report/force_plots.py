@@ -33,7 +33,7 @@ def force_parts(people: Iterable[PersonAngles], frame_rate_hz: float) -> Iterabl
             note += " Force plates measured some of it."
         if np.isfinite(forces.flight_residual):
             flight = f"{100.0 * forces.flight_residual:+.1f} % of body weight"
-            note += f" Check: the mean in flights was {flight} before it was held at 0; up to 4 % is usual."
+            note += f" Check: the mean in flights was {flight} before it was held at 0; up to 4 % is usual in jumps."
         cycles = [
             cycle_plot(title, found, unit)
             for title, unit, lines in _of_strides(forces)

@@ -2,7 +2,8 @@
 
 One foot on the ground carries all, at the place that the moment on the body tells, within its sole. Two feet carry it
 at places that roll from heel to toe in a step: over its double support to the toes of the foot behind, and from the
-heel of the foot in front. The vertical force is shared so that its common place is right. Forces of both feet pass
+heel of the foot in front. The vertical force is shared so that its common place is right; then places in front of the
+ball of a foot are moved back to it. Forces of both feet pass
 through a point above the common place, as high as the centre of mass: their horizontal parts follow (the virtual pivot
 point of Maus et al., "Upright human gait did not provide a major mechanical challenge for our ancestors", Nat. Commun.
 1, 2010).
