@@ -15,7 +15,7 @@ from tests.ports import free_port
 
 POSTGRES_VARIABLE = "MULTICAP_TEST_POSTGRES_URL"
 
-# Where Debian and Fedora have them.
+# Folders of Debian and Fedora.
 _PROGRAMS = sorted([*Path("/usr/lib/postgresql").glob("*/bin"), *Path("/usr/pgsql").glob("bin")])
 _TESTS_ONLY = ["-c", "fsync=off", "-c", "max_connections=200"]
 

@@ -40,7 +40,7 @@ METHODS = (
 
 
 def typed_references() -> dict[str, str]:
-    """What type checkers take each name for."""
+    """Types of the names by the type checkers."""
     found: dict[str, str] = {}
     for block in ast.parse(SOURCE.read_bytes()).body:
         if isinstance(block, ast.If):

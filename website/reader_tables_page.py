@@ -24,7 +24,7 @@ _FIELDS: Mapping[str, str] = {
     "_LENS": "lens model, such as `fisheye`",
     "_FISHEYE": "fisheye lens, if it is true or 1",
 }
-"""What the fields mean that a constant of ``fields`` names."""
+"""Meanings of the fields that a constant of ``fields`` names."""
 
 _INTRODUCTION = """\
 # Calibration and keypoint formats

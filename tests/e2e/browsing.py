@@ -17,7 +17,7 @@ FLAGS = [
     *("--no-sandbox", "--disable-background-networking", "--disable-component-update"),
     *("--disable-gpu", "--enable-unsafe-swiftshader"),
 ]
-# What Chromium tells about its own drawing in software.
+# Messages of Chromium about its own drawing in software.
 OWN = ("GPU stall due to ReadPixels",)
 DESKTOP: ViewportSize = {"width": 1280, "height": 800}
 # Pages take longer on a busy machine; a test that fails waits so long.

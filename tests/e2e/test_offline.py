@@ -20,7 +20,7 @@ from tests.waiting import wait_for
 # Apart from the other tests of the page, which take long enough one after the other.
 pytestmark = pytest.mark.xdist_group("waits")
 
-# What the browser itself writes of requests that can't be made.
+# Messages of the browser itself about requests that can't be made.
 ALLOWED = ("ERR_INTERNET_DISCONNECTED", "ERR_FAILED", "502 (Bad Gateway")
 AWAY = "The service does not answer."
 
@@ -66,7 +66,7 @@ def open_view(page: Page, view: str, job: dict[str, Any]) -> None:
 
 
 ADDRESSES = {"New capture": "new", "Captures": "captures", "Calibrations": "calibrations", "Job": "jobs/"}
-# What a view shows once it has loaded.
+# Texts that a view shows once it has loaded.
 LOADED = {
     "New capture": ("option", re.compile("Rig offline")),
     "Captures": ("button", re.compile("Run again: Offline|Reconstruct: Offline")),

@@ -233,7 +233,7 @@ def test_cameras_are_corrected_and_left_out(page: Page, served: Served, keypoint
     assert set(cameras) == {"cam_00", "cam_01"}
     sizes = {one["name"]: one["num_bytes"] for one in answer.value.json()["files"]}
     assert sizes[cameras["cam_01"]] == keypoints["cam_00.zip"].stat().st_size
-    # What the check says stands there, also after a reload, and the capture can be discarded.
+    # The statements of the check stand there, also after a reload, and the capture can be discarded.
     expect(page.get_by_role("heading", name="Check", exact=True)).to_be_visible()
     page.reload()
     page.get_by_role("button", name="Discard the capture").click()

@@ -243,7 +243,7 @@ def test_refused_file_is_replaced_by_same_name(
     choose(page, videos["left.mp4"])
     expect(page.get_by_text("left.mp4 replaces the file of this name.")).to_be_visible()
     expect(refusal).to_have_count(0)
-    # What was said of the camera stays.
+    # The statements about the camera stay.
     expect(camera).to_have_value("left")
     expect(offset).to_have_value("0.02")
     with page.expect_response("**/v1/sessions/*/jobs", timeout=180_000) as answer:

@@ -1,4 +1,4 @@
-"""What New capture sends is what it shows, at whatever moment of a pending request Send is pressed."""
+"""New capture sends the capture that it shows, at whatever moment of a pending request Send is pressed."""
 
 import base64
 import json
@@ -23,7 +23,7 @@ from tests.e2e.test_serve_keypoints import archives
 # Apart from the other tests of the page, which take long enough one after the other.
 pytestmark = pytest.mark.xdist_group("waits")
 
-# What the page shows of the capture.
+# Texts of the capture on the page.
 SHOWN = """() => {
   const text = (selector) => document.querySelector(selector)?.innerText ?? null;
   const value = (selector) => document.querySelector(selector)?.value ?? null;

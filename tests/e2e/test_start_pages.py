@@ -63,7 +63,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What is tried of the commands that a pattern matches."""
+    """Trial of the commands that a pattern matches."""
 
     pattern: str
     # `run`: the command itself; `recipe`: lines of the Makefile's target; `parsed`: the options are read, no more;

@@ -378,7 +378,7 @@ def same_video(
         all(picture_figures.largest_change(of_camera[0].cells, picture.cells) < STILL for picture in of_camera)
         for of_camera in (of_first, of_later)
     ]
-    # Where nothing moves, the same view is the same video.
+    # The same view is the same video if nothing moves.
     similarity = 1.0 if all(stands_still) else picture_figures.correlation(*changes)
     if similarity < _SAME_MOTION:
         return None

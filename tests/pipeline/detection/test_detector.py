@@ -107,7 +107,7 @@ def image_rgb() -> np.ndarray:
 def test_people_of_sample_are_found(detector: Detector, image_rgb: np.ndarray) -> None:
     bodies = detector.detect(image_rgb)
     walker, watcher, bystander = bodies.keypoints_px
-    # Where one sees them in the picture.
+    # Places at which one sees them in the picture.
     names = ("nose", "left_shoulder", "right_ankle", "left_ankle")
     expected_px = [(484, 417), (524, 498), (335, 1002), (422, 1084)]
     np.testing.assert_allclose(walker[COCO_17.indices(names)], expected_px, atol=20)

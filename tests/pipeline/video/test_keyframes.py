@@ -23,7 +23,7 @@ CODECS: dict[str, dict[str, Any]] = {
     "vp9": {"codec": "libvpx-vp9", "options": {"g": "12", "deadline": "realtime"}},
 }
 
-# What becomes of the box of sync samples: version and flags, number of entries, entries.
+# Contents of the box of sync samples: version and flags, number of entries, entries.
 BOXES: dict[str, Callable[[bytes], bytes]] = {
     "no entries": lambda box: box[:12] + bytes(4) + box[16:],
     "another box": lambda box: box[:4] + b"free" + box[8:],

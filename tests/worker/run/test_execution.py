@@ -1,4 +1,4 @@
-"""What the stages read of a session: whole files only, from the first frame of a chunk to its last."""
+"""Files of a session that the stages read: whole files only, from the first frame of a chunk to its last."""
 
 import hashlib
 import json

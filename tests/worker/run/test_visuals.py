@@ -104,7 +104,7 @@ def test_visuals_of_undone_edits_equal_unedited_ones(bench: RunnerBench, done: J
 
 @pytest.mark.parametrize("stage", [OVERLAY, REPORT])
 def test_newer_edit_deletes_job(bench: RunnerBench, done: JobRecord, stage: str) -> None:
-    """What it is about to write is not listed, and its files are removed."""
+    """A file that is about to be written is not listed, and is removed."""
     edited(bench, done.id, FIRST)
     visuals, function = bench.make_visuals(done.id), bench.stages[stage]
 

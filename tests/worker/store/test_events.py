@@ -1,4 +1,4 @@
-"""What is noted of jobs, and how far they have come."""
+"""Events of jobs, and how far they have come."""
 
 import sqlalchemy as sa
 

@@ -57,7 +57,7 @@ def test_person_walking_out_is_not_lost(ring: tuple[Camera, ...]) -> None:
     last = next(frame for frame in range(NUM_FRAMES) if np.sum(in_pictures, axis=0)[frame] < len(ring) / 2)
     track, _ = part(person(far_m, ring), 0, last)
     assert losses_of(ring, track) == []
-    # Who is lost long before the border is found.
+    # A loss long before the border is found.
     assert [loss.start_frame for loss in losses_of(ring, part((track, person(far_m, ring)[1]), 0, 10)[0])] == [10]
 
 
@@ -70,7 +70,7 @@ def test_person_leaving_by_door_is_not_lost(ring: tuple[Camera, ...]) -> None:
     assert np.linalg.norm(out_m[74].mean(0)[:2]) > 3.0
     assert losses_of(wide, leaves) == []
     assert [loss.start_frame for loss in losses_of(wide, part((track, seen), 0, 40)[0])] == [40]
-    # Who stands at the same place and is gone did not walk out.
+    # A person who stands at the same place and is gone did not walk out.
     stands, _ = part(person(np.repeat(out_m[74:75], NUM_FRAMES, axis=0), wide), 0, 75)
     assert [loss.start_frame for loss in losses_of(wide, stands)] == [75]
 

@@ -1,4 +1,4 @@
-"""Which form files have: two forms in a folder or a file, and files of other kinds."""
+"""Forms of files: two forms in a folder or a file, and files of other kinds."""
 
 import io
 import json

@@ -111,7 +111,7 @@ def test_motion_is_that_of_synchronised_cameras(method: Method, tmp_path: Path) 
     truth = reconstruct(whole, replace(config, sync="declared"))
     assert found.timebase.num_frames == truth.timebase.num_frames
     assert len(found.tracks) == len(truth.tracks)
-    # Where all cameras record, the positions are about those of synchronised cameras.
+    # While all cameras record, the positions are nearly as with synchronised cameras.
     for track in found.tracks:
         rows = np.arange(30, 120)
         positions_m = track.xyz_m[rows - track.start_frame]

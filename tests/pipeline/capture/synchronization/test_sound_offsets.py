@@ -31,7 +31,7 @@ METRONOME = np.tile(50.0 * np.exp(-np.arange(500) / 20.0), 40)
 
 
 def heard(energy: np.ndarray, late_ms: int, noise: float = 0.01, seed: int = 0) -> np.ndarray:
-    """What a camera that starts late records, with noise of its own."""
+    """Recording of a camera that starts late, with noise of its own."""
     rng = np.random.default_rng(seed)
     own = energy[late_ms:] * rng.uniform(0.5, 2.0)
     return np.asarray(own + noise * rng.chisquare(8, len(own)) / 8, np.float32)
@@ -51,7 +51,7 @@ def test_lag_of_camera_that_starts_late(seed: int, late_ms: int) -> None:
     energy = room(seed, 20.0, 25)
     found = lag_of(heard(energy, 0, seed=1), heard(energy, late_ms, seed=2))
     assert found is not None
-    # What sounds at time t in the first camera sounds late_ms earlier in the second one.
+    # A sound at time t in the first camera is late_ms earlier in the second one.
     assert found[0] == pytest.approx(late_ms / 1000, abs=0.001)
     back = lag_of(heard(energy, late_ms, seed=2), heard(energy, 0, seed=1))
     assert back is not None

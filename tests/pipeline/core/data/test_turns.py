@@ -8,7 +8,7 @@ from pipeline.core.data.turns import is_quarter_turn, turned_axes, upright_size_
 
 
 def test_axes_of_picture_turned_to_left() -> None:
-    # What points to the right points up, and what points down points to the right.
+    # An axis to the right points up, and an axis down points to the right.
     np.testing.assert_array_equal(np.array([(1.0, 0.0), (0.0, 1.0)]) @ turned_axes(90.0), [(0.0, -1.0), (1.0, 0.0)])
     np.testing.assert_array_equal(turned_axes(180.0), -np.eye(2))
     np.testing.assert_array_equal(turned_axes(-90.0), turned_axes(270.0))

@@ -1,4 +1,4 @@
-"""What a task asks: joints of detections, offsets of joint centres, and the session that it was planned for."""
+"""Questions of a task: joints of detections, offsets of joint centres, and the session that it was planned for."""
 
 from pathlib import Path
 

@@ -365,7 +365,7 @@ def test_eleven_cameras_in_alphabetical_for_natural_order(
     places = dict(zip(names, sorted(names), strict=True))
     if is_backward:
         places = {place: name for name, place in places.items()}
-    # What camera ``name`` sees was filmed by the camera ``places[name]``.
+    # The picture of camera ``name`` was filmed by the camera ``places[name]``.
     mixed = replace(seen, points_px=tuple(seen.points_px[names.index(places[name])] for name in names))
     findings = checked(cameras, mixed)
     exchanged_by_name = {finding.camera: finding.evidence["other_camera"] for finding in findings}

@@ -22,7 +22,7 @@ from worker.store.model.states import JobState
 
 
 def test_copy_of_file_alone_loses_rows_and_backup_none(data: Data, tmp_path: Path) -> None:
-    # What the documentation said: "Copy all of them, the database first".
+    # The documentation said: "Copy all of them, the database first".
     for _ in range(5):
         data.add_job(data.add_session(100))
     shutil.copy(data.folder / DATABASE, tmp_path / "copy.db")

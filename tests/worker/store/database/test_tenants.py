@@ -1,4 +1,4 @@
-"""What is another tenant's is not there."""
+"""Rows of another tenant are not there."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""What is counted, and that deleting jobs takes nothing back."""
+"""Counted totals, from which deleting jobs takes nothing back."""
 
 import time
 

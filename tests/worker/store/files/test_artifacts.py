@@ -1,4 +1,4 @@
-"""What every artifact store promises; another one joins by a line in ``artifacts``."""
+"""Promises of every artifact store; another one joins by a line in ``artifacts``."""
 
 import errno
 import hashlib

@@ -1,4 +1,4 @@
-"""What is said of uploads; their bytes are the API's."""
+"""Records of uploads; their bytes are the API's."""
 
 import pytest
 from uuid_utils import uuid7

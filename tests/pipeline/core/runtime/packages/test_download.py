@@ -38,7 +38,7 @@ def test_broken_connection_is_taken_up_where_it_broke(file_server: Any, tmp_path
     assert fetch(f"{file_server.url}/net", tmp_path / "net").read_bytes() == CONTENT
     first, second, third = file_server.ranges
     assert first is None
-    # What the client had not yet written when the connection broke is asked for again.
+    # Bytes that the client had not yet written when the connection broke are asked for again.
     assert 500_000 < int(second.removeprefix("bytes=").removesuffix("-")) <= 1_000_000
     assert int(second[6:-1]) < int(third[6:-1]) <= 1_500_000
 
