@@ -45,7 +45,7 @@ class ExpectedBodies:
     px_per_m: Float[np.ndarray, " n"]  # Pixels of a metre across the view at the body
     is_wanted: Bool[np.ndarray, " n"]  # False for bodies that are only close to bodies that are detected again
 
-    def rows(self, rows: slice | np.ndarray) -> "ExpectedBodies":
+    def select(self, rows: slice | Int[np.ndarray, " rows"]) -> "ExpectedBodies":
         """Select bodies, in ascending order of their frames."""
         return replace(
             self,
@@ -57,7 +57,7 @@ class ExpectedBodies:
 
     def within(self, frames: range) -> "ExpectedBodies":
         """Select the bodies in a range of the camera's frame numbers."""
-        return self.rows(slice(*np.searchsorted(self.frame, [frames.start, frames.stop])))
+        return self.select(slice(*np.searchsorted(self.frame, [frames.start, frames.stop])))
 
 
 def expected_body_m(track: Track3D, joints: JointSet, frame_rate_hz: float) -> Float[np.ndarray, "frames 17 3"]:
@@ -183,7 +183,7 @@ def _chosen(camera: str, people: Sequence[_Expected]) -> ExpectedBodies:
     wanted = np.unique(bodies.frame[is_wanted])
     if len(wanted) < _LEAST_PICTURES:
         return bodies.within(range(0))
-    return bodies.rows(np.flatnonzero((is_wanted | is_close) & np.isin(bodies.frame, wanted)))
+    return bodies.select(np.flatnonzero((is_wanted | is_close) & np.isin(bodies.frame, wanted)))
 
 
 def _close(bodies: _Expected) -> Bool[np.ndarray, " n"]:
