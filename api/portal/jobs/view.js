@@ -104,8 +104,10 @@ class JobView {
     else this.#firstPeople?.close();
     if (!isFirst) this.#firstPeople = null;
     const canEdit = this.caller.scopes.includes("write") && job.kind === "reconstruction" && job.urls.edits !== null;
-    if (canEdit) this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
-    await this.#panel?.follow(job);
+    if (canEdit) {
+      this.#panel ??= new PeoplePanel(this.people, job, this.motion, () => this.#showPeople());
+      await this.#panel.follow(job); // a list of jobs that is answered late may be of a time before there were people
+    }
     // The files of an earlier revision can be read until the files of the present one are there.
     if (!hasFiles(job) || this.session === null) return;
     await this.#list(job);
